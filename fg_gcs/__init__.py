@@ -1,0 +1,1 @@
+"""Flux-guided ground control for swarms of simulated MAVLink vehicles."""

@@ -1,0 +1,100 @@
+"""WGS84, ENU, NED and yaw: the only place where signs flip.
+
+Plans and files use ENU metres from the mission origin (x east, y north, z up). Each vehicle reports and obeys NED
+metres from an origin of its own, so one :class:`LocalFrame` a vehicle, learnt on the ground, joins the two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# WGS84 defining constants (NIMA TR8350.2)
+SEMI_MAJOR_M = 6_378_137.0
+FLATTENING = 1.0 / 298.257223563
+ECCENTRICITY2 = FLATTENING * (2.0 - FLATTENING)
+
+
+class Geodetic(NamedTuple):
+    """A place on the WGS84 ellipsoid; the altitude may be above sea level, as long as all are."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """A vehicle's own NED frame, seen from the mission origin."""
+
+    origin_enu_m: tuple[float, float, float]  # where the vehicle reads (0, 0, 0)
+
+    def enu_from_ned(self, position_ned_m: Array) -> Array:
+        """Return mission positions of the vehicle's local ones, shape (..., 3) [m]."""
+        enu: Array = swap_ned_enu(position_ned_m) + np.array(self.origin_enu_m)
+        return enu
+
+    def ned_from_enu(self, position_enu_m: Array) -> Array:
+        """Return the vehicle's local positions of mission ones, shape (..., 3) [m]."""
+        return swap_ned_enu(position_enu_m - np.array(self.origin_enu_m))
+
+
+def swap_ned_enu(vector: Array) -> Array:
+    """Turn NED components into ENU ones or back, shape (..., 3): swap the first two, negate the third."""
+    swapped: Array = np.asarray(vector, dtype=float)[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+    return swapped
+
+
+def yaw_from_enu(direction_enu: Array) -> Array:
+    """Return the heading of directions, clockwise from north; (..., 3) or (..., 2) to (...) [rad; (-pi, pi]]."""
+    return np.arctan2(direction_enu[..., 0], direction_enu[..., 1])
+
+
+def enu_from_geodetic(place: Geodetic, origin: Geodetic) -> Array:
+    """Return where a place lies from the origin, shape (3,) [m; ENU], exact through Earth-centred coordinates."""
+    return _axes(origin) @ (_earth_centred(place) - _earth_centred(origin))
+
+
+def geodetic_from_enu(position_enu_m: Array, origin: Geodetic) -> Geodetic:
+    """Return the place of an ENU position [deg, deg, m]; the inverse of :func:`enu_from_geodetic`.
+
+    Newton's iteration on the forward map with the local radii of curvature; three rounds reach a nanometre within
+    100 km.
+    """
+    place = origin
+    for _ in range(4):
+        rest = _axes(place) @ (_axes(origin).T @ position_enu_m + _earth_centred(origin) - _earth_centred(place))
+        latitude = np.radians(place.latitude_deg)
+        w2 = 1.0 - ECCENTRICITY2 * np.sin(latitude) ** 2
+        normal = SEMI_MAJOR_M / np.sqrt(w2)
+        meridian = normal * (1.0 - ECCENTRICITY2) / w2
+        place = Geodetic(
+            place.latitude_deg + float(np.degrees(rest[1] / (meridian + place.altitude_m))),
+            place.longitude_deg + float(np.degrees(rest[0] / ((normal + place.altitude_m) * np.cos(latitude)))),
+            place.altitude_m + float(rest[2]),
+        )
+    return place
+
+
+def _earth_centred(place: Geodetic) -> Array:
+    latitude, longitude = np.radians(place.latitude_deg), np.radians(place.longitude_deg)
+    normal = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY2 * np.sin(latitude) ** 2)
+    return np.array(
+        [
+            (normal + place.altitude_m) * np.cos(latitude) * np.cos(longitude),
+            (normal + place.altitude_m) * np.cos(latitude) * np.sin(longitude),
+            (normal * (1.0 - ECCENTRICITY2) + place.altitude_m) * np.sin(latitude),
+        ]
+    )
+
+
+def _axes(place: Geodetic) -> Array:
+    latitude, longitude = np.radians(place.latitude_deg), np.radians(place.longitude_deg)
+    east = [-np.sin(longitude), np.cos(longitude), 0.0]
+    up = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    return np.array([east, np.cross(up, east), up])

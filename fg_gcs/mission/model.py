@@ -1,0 +1,221 @@
+"""A mission as data. Every field's description says what is accepted; errors and docs quote it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
+from fg_gcs.core.frames import Geodetic
+from fg_gcs.core.separation import Fence
+from fg_gcs.plan.flight_plan import Task
+from fg_gcs.plan.limits import Limits, Rules
+
+Array = NDArray[np.float64]
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Point = tuple[Finite, Finite, Finite]
+Ground = tuple[Finite, Finite]
+
+DEFAULT_ORIGIN = Geodetic(47.397742, 8.545594, 488.0)  # where PX4's own simulators start, near Zurich
+
+
+class Table(BaseModel):
+    """A table of the file: strict types, no unknown keys, read-only."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class SwarmTable(Table):
+    """Who flies."""
+
+    vehicles: int = Field(ge=3, le=250, description="a whole number from 3 to 250")
+    system_ids: list[Annotated[int, Field(ge=1, le=250)]] | None = Field(
+        default=None, description="different whole numbers from 1 to 250, one a vehicle (default: 1, 2, 3, ...)"
+    )
+
+    def ids(self) -> tuple[int, ...]:
+        """Return the system id of every vehicle, ascending."""
+        return tuple(sorted(self.system_ids)) if self.system_ids else tuple(range(1, self.vehicles + 1))
+
+
+class FormationTable(Table):
+    """The swarm's shape and where it gathers."""
+
+    shape: Literal["hemisphere", "custom"] = Field(description='"hemisphere" or "custom"')
+    leaders: int | None = Field(
+        default=None, ge=3, description="hemisphere: a whole number of vehicles on the rim, 3 or more"
+    )
+    followers: int | None = Field(
+        default=None, ge=0, description="hemisphere: 0, 1 (pole), as many as leaders (circle), or one more (both)"
+    )
+    edge_m: Positive | None = Field(
+        default=None, description="hemisphere: distance of neighbouring leaders, a number above 0"
+    )
+    leaders_yz_m: list[Ground] | None = Field(
+        default=None, description="custom: [y, z] in the face, 3 or more, counter-clockwise seen from the target"
+    )
+    followers_xyz_m: list[Point] | None = Field(
+        default=None, description="custom: [x, y, z] with x <= 0 behind the face"
+    )
+    centre_enu_m: Point = Field(description="[east, north, up] of the face's centre before the approach")
+    normal_enu: Point = Field(description="[east, north, up] that the face looks along before the approach, any length")
+
+    def start(self) -> Pose:
+        """Return where the face is before the approach.
+
+        Raises:
+            ValueError: the normal has no direction.
+        """
+        return Pose(np.array(self.centre_enu_m), facing(np.array(self.normal_enu)))
+
+    def formation(self) -> Formation:
+        """Build the template.
+
+        Raises:
+            ValueError: the keys do not describe a formation; the text says why.
+        """
+        if self.shape == "hemisphere":
+            if self.leaders is None or self.followers is None or self.edge_m is None:
+                raise ValueError("a hemisphere needs leaders, followers and edge_m")
+            return hemisphere(self.leaders, self.followers, self.edge_m)
+        if self.leaders_yz_m is None:
+            raise ValueError("a custom shape needs leaders_yz_m")
+        rim = np.array([(0.0, y, z) for y, z in self.leaders_yz_m]).reshape(-1, 3)
+        return Formation(rim, np.array(self.followers_xyz_m or [], dtype=float).reshape(-1, 3))
+
+
+class TargetTable(Table):
+    """What is surrounded."""
+
+    position_enu_m: Point = Field(description="[east, north, up] in metres, above the floor and inside the fence")
+
+
+class HoldTable(Table):
+    """The stay around the target."""
+
+    duration_s: NotNegative = Field(default=5.0, description="a number, 0 or more (default 5)")
+    depth_m: NotNegative = Field(
+        default=0.25, description="how far the target lies behind the face, among the swarm: 0 or more (default 0.25)"
+    )
+
+
+class LimitsTable(Table):
+    """What no vehicle exceeds; the vehicles' own limits count as well."""
+
+    speed_m_s: Positive = Field(description="norm of the speed, a number above 0")
+    acceleration_m_s2: Positive = Field(description="norm of the acceleration, a number above 0")
+    climb_m_s: Positive | None = Field(default=None, description="a number above 0 (default: only the norm counts)")
+    descent_m_s: Positive | None = Field(default=None, description="a number above 0 (default: only the norm counts)")
+    separation_m: Positive = Field(description="no two vehicles come closer: a number above 0")
+
+
+class FenceTable(Table):
+    """The box that no vehicle leaves while it follows a plan."""
+
+    low_enu_m: Point = Field(description="[west, south, floor] corner in metres")
+    high_enu_m: Point = Field(description="[east, north, ceiling] corner in metres, each above that of low_enu_m")
+
+    def box(self) -> Fence:
+        """Return the fence in the planner's words."""
+        return Fence(self.low_enu_m, self.high_enu_m)
+
+
+class TakeoffTable(Table):
+    """From the pad to the first plan."""
+
+    height_m: Positive = Field(default=4.0, description="a number above 0 and not below the floor (default 4)")
+
+
+class PadsTable(Table):
+    """Where simulated vehicles stand; real ones stand where they are."""
+
+    first_enu_m: Ground = Field(
+        default=(0.0, 0.0), description="[east, north] of the first vehicle's pad (default [0, 0])"
+    )
+    spacing_m: Positive = Field(
+        default=3.0, description="distance of neighbouring pads, above the separation (default 3)"
+    )
+
+
+class OriginTable(Table):
+    """Where on Earth the mission's (0, 0, 0) is."""
+
+    latitude_deg: float = Field(ge=-89, le=89, description="degrees from -89 to 89")
+    longitude_deg: float = Field(ge=-180, le=180, description="degrees from -180 to 180")
+    altitude_m: Finite = Field(description="metres above sea level")
+
+
+class StreamTable(Table):
+    """How setpoints are sent."""
+
+    rate_hz: Finite = Field(default=50.0, ge=20, le=200, description="a number from 20 to 200 (default 50)")
+
+
+class SimulatorTable(Table):
+    """The built-in simulator; it has no effect with --connect."""
+
+    autopilot: Literal["px4", "ardupilot"] = Field(default="px4", description='"px4" or "ardupilot" (default "px4")')
+    seed: int = Field(default=0, ge=0, description="a whole number, 0 or more (default 0)")
+    wind_m_s: NotNegative = Field(default=0.0, description="mean wind speed, 0 or more (default 0)")
+
+
+class Mission(Table):
+    """A whole mission file."""
+
+    description: str = Field(default="", description="a line of text for people")
+    swarm: SwarmTable = Field(description="a table")
+    formation: FormationTable = Field(description="a table")
+    target: TargetTable = Field(description="a table")
+    hold: HoldTable = Field(default=HoldTable(), description="a table")
+    limits: LimitsTable = Field(description="a table")
+    fence: FenceTable = Field(description="a table")
+    takeoff: TakeoffTable = Field(default=TakeoffTable(), description="a table")
+    pads: PadsTable = Field(default=PadsTable(), description="a table")
+    origin: OriginTable | None = Field(default=None, description="a table")
+    stream: StreamTable = Field(default=StreamTable(), description="a table")
+    simulator: SimulatorTable = Field(default=SimulatorTable(), description="a table")
+
+    def task(self) -> Task:
+        """Return the mission in the planner's words, under its own limits alone."""
+        limits = self.limits
+        return Task(
+            formation=self.formation.formation(),
+            start=self.formation.start(),
+            target_enu_m=np.array(self.target.position_enu_m),
+            hold_depth_m=self.hold.depth_m,
+            rules=Rules(
+                Limits(
+                    limits.speed_m_s,
+                    limits.acceleration_m_s2,
+                    np.inf if limits.climb_m_s is None else limits.climb_m_s,
+                    np.inf if limits.descent_m_s is None else limits.descent_m_s,
+                ),
+                limits.separation_m,
+                self.fence.box(),
+            ),
+        )
+
+    def pads_enu_m(self) -> Array:
+        """Return the pads of simulated vehicles: a square grid, row by row northwards, shape (V, 2) [m]."""
+        columns = int(np.ceil(np.sqrt(self.swarm.vehicles)))
+        index = np.arange(self.swarm.vehicles)
+        grid = np.stack((index % columns, index // columns), axis=1) * self.pads.spacing_m
+        pads: Array = grid + np.array(self.pads.first_enu_m)
+        return pads
+
+    def tops_enu_m(self) -> Array:
+        """Return the places above the simulated pads after take-off, shape (V, 3) [m; ENU]."""
+        pads = self.pads_enu_m()
+        return np.column_stack((pads, np.full(len(pads), self.takeoff.height_m)))
+
+    def origin_geodetic(self) -> Geodetic:
+        """Return where the mission's origin is; without a table, where PX4's simulators start."""
+        if self.origin is None:
+            return DEFAULT_ORIGIN
+        return Geodetic(self.origin.latitude_deg, self.origin.longitude_deg, self.origin.altitude_m)

@@ -1,0 +1,134 @@
+"""The whole flight as checked plans, compiled before anything moves: gather, approach, home."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fg_gcs.core.coverage import FACING, coverage, flux_metric
+from fg_gcs.core.formation import Formation, Pose
+from fg_gcs.core.separation import Separation
+from fg_gcs.errors import PlanError
+from fg_gcs.plan.flux_guided import FluxPath, plan_path
+from fg_gcs.plan.limits import Rules
+from fg_gcs.plan.paths import PosePath
+from fg_gcs.plan.trajectory import CheckedPlan, Peaks, check, timed
+from fg_gcs.plan.transit import Transit, gather, scatter
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+FIGURES_HZ = 100.0  # density of the figures about an approach: every 0.1 m at 10 m/s
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a flight is about, in the planner's words."""
+
+    formation: Formation
+    start: Pose  # where the formation gathers
+    target_enu_m: Array  # (3,) the point to surround [m]
+    hold_depth_m: float  # how far the target lies behind the face during the hold [m]
+    rules: Rules
+
+
+class ApproachFigures(NamedTuple):
+    """What the approach is like; path lengths are sums over the leaders."""
+
+    path_length_m: float
+    straight_length_m: float
+    iterates: int
+    flux_metric: float
+    coverage_mean: float
+    coverage_min_after_facing: float
+
+
+@dataclass(frozen=True)
+class FlightPlan:
+    """Three plans that follow each other; between the last two the swarm holds around the target.
+
+    Row v of every sample belongs to vehicle v, whatever slot or pad it was given.
+    """
+
+    gather: CheckedPlan
+    approach: CheckedPlan
+    home: CheckedPlan
+    slot_of: Indices  # (V,)
+    rim_of: Indices  # (N,) the vehicle at each place of the rim
+    figures: ApproachFigures
+    plan_time_s: float  # flux-guided search
+    timing_time_s: float  # timing, transits and checks
+
+    @property
+    def separation(self) -> Separation:
+        """The closest approach of the whole flight; its time counts within its own plan."""
+        return min(plan.separation for plan in (self.gather, self.approach, self.home))
+
+    @property
+    def peaks(self) -> Peaks:
+        """Largest speed and acceleration of the whole flight."""
+        return Peaks(*np.max([plan.peaks for plan in (self.gather, self.approach, self.home)], axis=0).tolist())
+
+
+def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:
+    """Plan and prove a whole flight.
+
+    Args:
+        task: formation, target and rules.
+        tops_enu_m: the places above the pads where the vehicles are after take-off, shape (V, 3) [m].
+        stopwatch: returns seconds; planning reads no clock by itself.
+
+    Raises:
+        PlanError: some part of the flight has no plan that keeps the rules.
+    """
+    slots = task.formation.slots_m
+    if len(tops_enu_m) != len(slots):
+        raise PlanError(f"the formation has {len(slots)} slots, but there are {len(tops_enu_m)} vehicles")
+    began = stopwatch()
+    path = plan_path(task.formation, task.start, task.target_enu_m, task.hold_depth_m)
+    found = stopwatch()
+    rules = task.rules
+    into = gather(tops_enu_m, task.formation.place(task.start), rules.separation_m, rules.limits)
+    approach = check([timed(PosePath(slots[into.goal_of], path.poses), rules.limits)], rules, task.target_enu_m)
+    hold = approach.sample(np.array([approach.duration_s])).position_m[0]
+    home = plan_home(hold, tops_enu_m, task)
+    rim = np.argsort(into.goal_of)[: len(task.formation.leaders_m)]
+    return FlightPlan(
+        gather=check(into.pieces, rules, task.target_enu_m),
+        approach=approach,
+        home=check(home.pieces, rules, task.target_enu_m),
+        slot_of=into.goal_of,
+        rim_of=rim,
+        figures=_figures(task, path, approach, rim),
+        plan_time_s=found - began,
+        timing_time_s=stopwatch() - found,
+    )
+
+
+def plan_home(position_enu_m: Array, tops_enu_m: Array, task: Task) -> Transit:
+    """Return the way from anywhere to the places above the pads, shapes (V, 3) and (V, 3) [m].
+
+    Raises:
+        PlanError: no collision-free lines lead there.
+    """
+    return scatter(position_enu_m, tops_enu_m, task.rules.separation_m, task.rules.limits)
+
+
+def _figures(task: Task, path: FluxPath, approach: CheckedPlan, rim: Indices) -> ApproachFigures:
+    instants = np.linspace(0.0, approach.duration_s, max(2, int(approach.duration_s * FIGURES_HZ) + 1))
+    rims = approach.sample(instants).position_m[:, rim]  # (T, N, 3)
+    covered = coverage(rims, task.target_enu_m)
+    facing = int(np.argmax(covered >= FACING))  # 0 when it never faces: then the whole way counts
+    straight_m = np.linalg.norm(task.target_enu_m - task.start.centre_enu_m)
+    return ApproachFigures(
+        path_length_m=float(np.linalg.norm(np.diff(rims, axis=0), axis=2).sum()),
+        straight_length_m=float(len(rim) * straight_m),
+        iterates=path.iterates,
+        flux_metric=float(flux_metric(rims[-1:], task.target_enu_m)[0]),
+        coverage_mean=float(covered.mean()),
+        coverage_min_after_facing=float(covered[facing:].min()),
+    )

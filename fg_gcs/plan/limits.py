@@ -1,0 +1,32 @@
+"""What a plan must keep: the limits of the vehicles, the space they may use and the distance between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fg_gcs.core.separation import Fence
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of every vehicle; ``climb`` and ``descent`` bound the vertical part of the speed apart."""
+
+    speed_m_s: float  # norm of the velocity
+    acceleration_m_s2: float  # norm of the acceleration
+    climb_m_s: float = np.inf
+    descent_m_s: float = np.inf
+
+    def lowered_to(self, **others: float) -> Limits:
+        """Return the smaller of each limit and the given one, by the names of the fields."""
+        return replace(self, **{name: min(getattr(self, name), value) for name, value in others.items()})
+
+
+@dataclass(frozen=True)
+class Rules:
+    """All that a plan is checked against."""
+
+    limits: Limits
+    separation_m: float  # no pair of vehicles comes closer
+    fence: Fence  # no vehicle leaves this box; its lower face is the floor

@@ -1,0 +1,83 @@
+"""Between pads and formation: who goes where, on straight lines that provably keep apart.
+
+All vehicles fly straight lines in step, so a pair's relative position runs along a line too and its closest approach
+has a closed form. When starts and ends are assigned to each other by the least sum of squared distances, two vehicles
+never come closer than ``1/sqrt(2)`` of the smaller spacing at the ends ([Turpin2014]_). The formation may be tighter
+than that allows: then it is first opened about its centre, just as far as the lines need. Opening a formation brings no
+pair closer.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from fg_gcs.core.separation import closest_approach
+from fg_gcs.errors import PlanError
+from fg_gcs.plan.limits import Limits
+from fg_gcs.plan.paths import LinePath
+from fg_gcs.plan.trajectory import Trajectory, timed
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+CLEARANCE = 1.2  # lines are planned this many times wider than the minimum: room for tracking errors in flight
+OPENINGS = np.arange(1.0, 4.01, 0.1)  # factors tried; beyond four the pads, not the formation, are too tight
+SAME_PLACE_M = 1e-3  # a move shorter than this is none
+
+
+class Transit(NamedTuple):
+    """A collision-free way between two sets of places."""
+
+    pieces: tuple[Trajectory, ...]
+    goal_of: Indices  # (V,) vehicle v ends at place goal_of[v]
+
+
+def gather(start_m: Array, slots_m: Array, separation_m: float, limits: Limits) -> Transit:
+    """Return the way from scattered places into a formation, shapes (V, 3) and (V, 3) [m; ENU].
+
+    Raises:
+        PlanError: no opening of the formation makes the lines collision-free.
+    """
+    slot_of, wide = _open_out(slots_m, start_m, separation_m)
+    ends = slots_m[slot_of]
+    return Transit(_lines((start_m, wide[slot_of], ends), limits), slot_of)
+
+
+def scatter(formation_m: Array, goals_m: Array, separation_m: float, limits: Limits) -> Transit:
+    """Return the way from a formation to scattered places, shapes (V, 3) and (V, 3) [m; ENU].
+
+    Raises:
+        PlanError: no opening of the formation makes the lines collision-free.
+    """
+    vehicle_of, wide = _open_out(formation_m, goals_m, separation_m)
+    goal_of = np.argsort(vehicle_of)
+    return Transit(_lines((formation_m, wide, goals_m[goal_of]), limits), goal_of)
+
+
+def _open_out(formation_m: Array, places_m: Array, separation_m: float) -> tuple[Indices, Array]:
+    """Return which formation member each place belongs to, and the formation opened as far as the lines need."""
+    centre = formation_m.mean(axis=0)
+    needed_m = CLEARANCE * separation_m
+    for opening in OPENINGS:
+        wide = centre + opening * (formation_m - centre)
+        _, member_of = linear_sum_assignment(cdist(places_m, wide, "sqeuclidean"))
+        lines = np.stack((places_m, wide[member_of]))
+        if len(places_m) < 2 or not closest_approach(lines, np.array([0.0, 1.0])).violates(needed_m):
+            return member_of, wide
+    worst = closest_approach(lines, np.array([0.0, 1.0]))
+    raise PlanError(
+        f"no straight lines between pads and formation keep {needed_m:.2f} m apart (best {worst.distance_m:.2f} m, "
+        f"vehicles {worst.pair[0] + 1} and {worst.pair[1] + 1}); place the pads or the slots further apart"
+    )
+
+
+def _lines(places: tuple[Array, ...], limits: Limits) -> tuple[Trajectory, ...]:
+    """Trajectories from place to place with a rest at each; moves of nothing are left out."""
+    moves = [(a, b) for a, b in pairwise(places) if np.abs(a - b).max() > SAME_PLACE_M]
+    return tuple(timed(LinePath(a, b), limits) for a, b in moves or [(places[0], places[-1])])
