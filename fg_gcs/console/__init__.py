@@ -1,1 +1,1 @@
-"""."""
+"""What people type and see; the only room that prints."""

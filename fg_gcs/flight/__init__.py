@@ -1,1 +1,1 @@
-"""."""
+"""Orchestration: finds the vehicles, flies the plans, watches over them and always brings them down."""

@@ -72,6 +72,11 @@ def time_optimal(path: SwarmPath, limits: Limits) -> Timing:
     return Timing(grid, np.asarray(speed), time_s)
 
 
+def warm_up() -> None:
+    """Load toppra now, so that the first plan of a process is as quick as the next."""
+    import toppra.algorithm  # noqa: F401 # loading is all that is wanted
+
+
 class _Interval:
     """A path as toppra's solver sees it: only its range counts, the constraint has the derivatives."""
 

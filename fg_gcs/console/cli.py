@@ -1,0 +1,154 @@
+"""The command line. Its top imports almost nothing, so that ``--help`` is there at once."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+DONE, ABORTED, BAD_INPUT, NOBODY_ANSWERED, INTERNAL_ERROR = range(5)
+
+EPILOG = """\
+examples:
+  fg-gcs fly missions/demo.toml                      fly it with the built-in simulator
+  fg-gcs fly missions/demo.toml --speed max          the same in virtual time: seconds, not minutes
+  fg-gcs fly missions/sitl.toml --connect udpin:127.0.0.1:14550
+                                                     fly real PX4 or ArduPilot SITL vehicles
+  fg-gcs plan missions/*.toml --json                 plan without flying, one JSON line a file
+  fg-gcs check missions/*.toml                       is each file a valid mission?
+  fg-gcs sim --vehicles 9 --autopilot ardupilot      only the simulator, for any ground station
+  fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
+
+exit codes: 0 done, 1 the flight was aborted safely, 2 bad input, 3 nobody answered, 4 internal error
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser of all commands."""
+    top = argparse.ArgumentParser(
+        prog="fg-gcs",
+        description="Flux-guided ground control: a swarm of simulated MAVLink vehicles flies to a target and "
+        "surrounds it, its face towards the target all the way.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    fly = commands.add_parser("fly", help="fly a mission", description="Fly a mission and write a report.")
+    fly.add_argument("mission", type=Path, metavar="MISSION", help="mission file, see missions/README.md")
+    fly.add_argument(
+        "--connect",
+        action="append",
+        metavar="ENDPOINT",
+        help="fly vehicles found here instead of starting the simulator: udpin:HOST:PORT, udpout:HOST:PORT or "
+        "tcp:HOST:PORT; repeat for more",
+    )
+    fly.add_argument(
+        "--wait", type=_positive, default=30.0, metavar="S", help="for the first heartbeats (default: %(default)g s)"
+    )
+    fly.add_argument(
+        "--speed",
+        type=_speed,
+        default=1.0,
+        metavar="X",
+        help="run time X times as fast; max: virtual time, as fast as it can be computed (simulator only)",
+    )
+    fly.add_argument(
+        "--autopilot", choices=("px4", "ardupilot"), help="manners of the simulator, whatever the file says"
+    )
+    fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
+    fly.add_argument("--json", action="store_true", help="print one JSON object on the last line of stdout")
+
+    plan = commands.add_parser("plan", help="plan missions without flying", description="Plan and prove missions.")
+    plan.add_argument("missions", type=Path, nargs="+", metavar="MISSION")
+    plan.add_argument("--json", action="store_true", help="print one JSON object a mission on stdout")
+    plan.add_argument("--plot", type=Path, metavar="FILE", help="draw the plan (png, svg or pdf); one mission only")
+
+    check = commands.add_parser("check", help="validate mission files", description="Validate mission files.")
+    check.add_argument("missions", type=Path, nargs="+", metavar="MISSION")
+
+    sim = commands.add_parser("sim", help="run only the simulator", description="Run the built-in simulator.")
+    from sitl_mock.__main__ import EXAMPLES, add_arguments
+
+    sim.epilog = EXAMPLES.replace("python -m sitl_mock", "fg-gcs sim")
+    sim.formatter_class = argparse.RawDescriptionHelpFormatter
+    add_arguments(sim)
+
+    report = commands.add_parser("report", help="write a run's report again", description="Write a report again.")
+    report.add_argument("log", type=Path, metavar="LOG", help="folder of a recorded run")
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code."""
+    chosen = parser().parse_args(arguments)
+    from fg_gcs.errors import FgError, LinkError
+
+    try:
+        return _run(chosen)
+    except LinkError as error:
+        print(f"fg-gcs: {error}", file=sys.stderr)
+        return NOBODY_ANSWERED
+    except FgError as error:
+        print(f"fg-gcs: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return ABORTED
+    except BrokenPipeError:  # the reader of our output has gone, as `| head` does
+        return DONE
+    except Exception:
+        traceback.print_exc()
+        print("fg-gcs: internal error; the lines above belong into a bug report", file=sys.stderr)
+        return INTERNAL_ERROR
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    """Load what the chosen command needs, and run it."""
+    match chosen.command:
+        case "fly":
+            from fg_gcs.console.fly import Options, fly
+
+            return fly(
+                Options(
+                    mission=chosen.mission,
+                    endpoints=tuple(chosen.connect or ()),
+                    wait_s=chosen.wait,
+                    speed=chosen.speed,
+                    autopilot=chosen.autopilot,
+                    logs=chosen.logs,
+                    json=chosen.json,
+                )
+            )
+        case "plan":
+            from fg_gcs.console.plan import plan
+
+            return plan(chosen.missions, as_json=chosen.json, plot=chosen.plot)
+        case "check":
+            from fg_gcs.console.plan import check
+
+            return check(chosen.missions)
+        case "report":
+            from fg_gcs.console.plan import report
+
+            return report(chosen.log)
+        case _:
+            from sitl_mock.__main__ import run
+
+            return run(chosen)
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text}: not a positive number")
+    return value
+
+
+def _speed(text: str) -> float:
+    return float("inf") if text == "max" else _positive(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,152 @@
+"""The command ``fly``: simulator, flight, progress, record and closing summary."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import signal
+import sys
+import time
+from contextlib import AsyncExitStack, ExitStack
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from fg_gcs.console.plan import plan_keys
+from fg_gcs.console.progress import Progress
+from fg_gcs.console.simulator import free_port, simulator_in_loop, simulator_process
+from fg_gcs.errors import FgError, MissionError
+from fg_gcs.flight.director import Director, Result, Setup
+from fg_gcs.link.clock import make_loop
+from fg_gcs.link.endpoint import parse_endpoint
+from fg_gcs.mission import Mission, load_mission
+from fg_gcs.plan.timing import warm_up
+from fg_gcs.record.evaluation import evaluate
+from fg_gcs.record.recorder import REPORT, Recorder, make_folder, plain
+from fg_gcs.record.report import write_report
+
+VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed one keeps a run's files the same
+
+
+@dataclass(frozen=True)
+class Options:
+    """What was asked for."""
+
+    mission: Path
+    endpoints: tuple[str, ...] = ()  # empty: our own simulator
+    wait_s: float = 30.0
+    speed: float = 1.0  # infinite: virtual time
+    autopilot: str | None = None  # of the simulator; None: as the mission says
+    logs: Path = Path("logs")
+    json: bool = False
+
+
+def fly(options: Options) -> int:
+    """Fly a mission and return the exit code.
+
+    Raises:
+        MissionError: the file or the options are at fault.
+        LinkError: nobody answered.
+        PlanError: the mission has no plan.
+    """
+    mission = load_mission(options.mission)
+    virtual = math.isinf(options.speed)
+    if virtual and options.endpoints:
+        raise MissionError("--speed max: only the built-in simulator lives in virtual time; leave --connect out")
+    for endpoint in options.endpoints:
+        parse_endpoint(endpoint)
+    try:
+        folder = make_folder(options.logs, options.mission.stem, datetime.now())
+    except OSError as error:
+        raise MissionError(f"--logs {options.logs}: {error.strerror or error}") from error
+    warm_up()
+    with asyncio.Runner(loop_factory=lambda: make_loop(options.speed)) as runner:
+        result = runner.run(_fly(mission, options, folder))
+    summary = json.loads((folder / "summary.json").read_text())
+    if options.json:
+        print(json.dumps(summary))
+    return 0 if result.completed else 1
+
+
+async def _fly(mission: Mission, options: Options, folder: Path) -> Result:
+    loop = asyncio.get_running_loop()
+    virtual = math.isinf(options.speed)
+    simulated = not options.endpoints
+    autopilot = options.autopilot or mission.simulator.autopilot
+    with ExitStack() as stack:
+        epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
+        recorder = stack.enter_context(Recorder(folder, options.mission.read_text(), loop.time(), epoch_s))
+        progress = stack.enter_context(Progress(mission, live=not virtual and sys.stderr.isatty()))
+        recorder.listener = progress.event
+        endpoints = options.endpoints
+        if simulated:
+            port = 14550 if virtual else free_port()  # in virtual time nobody else is there
+            endpoints = (f"udpin:127.0.0.1:{port}",)
+            recorder.event(
+                loop.time(), "simulator", f"starting {mission.swarm.vehicles} simulated {autopilot} vehicles"
+            )
+            if not virtual:
+                log = folder / "simulator.log"
+                stack.enter_context(simulator_process(mission, autopilot, port, options.speed, log))
+        # Planning is quick, but how quick differs from run to run: in virtual time it takes none
+        setup = Setup(endpoints, options.wait_s, simulated, time.perf_counter)
+        director = Director(mission, setup, recorder)
+        async with AsyncExitStack() as in_loop:
+            if simulated and virtual:
+                await in_loop.enter_async_context(simulator_in_loop(mission, autopilot, port))
+            show = asyncio.create_task(progress.show(director))
+            _on_signals(director)
+            try:
+                result = await director.fly()
+            except FgError as error:
+                recorder.event(loop.time(), "error", str(error))
+                raise
+            finally:
+                show.cancel()
+                await asyncio.gather(show, return_exceptions=True)
+        summary = _summary(mission, options, result, recorder)
+        recorder.finish(summary)
+        write_report(folder)
+    progress.closing(summary)
+    return result
+
+
+def _on_signals(director: Director) -> None:
+    """Turn every way to be asked to stop into one: fly home and land; asked again: land on the spot."""
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, director.interrupt, f"stopped by {number.name}")
+
+
+def _summary(mission: Mission, options: Options, result: Result, recorder: Recorder) -> dict[str, object]:
+    """The run's figures by the names of the command line's JSON."""
+    summary: dict[str, object] = {"mission": str(options.mission)}
+    if result.plan is not None:
+        summary |= plan_keys(str(options.mission), mission, result.plan)
+    rim = [] if result.plan is None else result.plan.rim_of.tolist()
+    limits = None if result.task is None else result.task.rules.limits
+    counters = result.counters
+    summary |= {"completed": result.completed, "reason": result.reason, "vehicles_landed": result.vehicles_landed}
+    summary |= evaluate(recorder, result.stages, rim, mission.target.position_enu_m)
+    summary |= {
+        "replans": 0,
+        "replan_p99_ms": None,
+        "sensed_to_setpoint_p99_ms": None,
+        "late_ticks": result.late_ticks,
+        "lost_vehicles": list(result.lost),
+        "bad_bytes": counters.bad_bytes if counters else 0,
+        "unknown_messages": counters.unknown_messages if counters else 0,
+        "frames_in": counters.frames_in if counters else 0,
+        "frames_out": counters.frames_out if counters else 0,
+        "limits": None if limits is None else vars(limits),
+        "separation_m": mission.limits.separation_m,
+        "target_enu_m": list(mission.target.position_enu_m),
+        "rim_rows": rim,
+        "stages": {name: list(span) for name, span in result.stages.items()},
+        "log": str(recorder.folder),
+        "report": str(recorder.folder / REPORT),
+    }
+    plained = plain(summary)
+    assert isinstance(plained, dict)
+    return plained

@@ -1,0 +1,112 @@
+"""The commands that do not fly: ``plan``, ``check`` and ``report``."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from fg_gcs.errors import FgError, MissionError, PlanError
+from fg_gcs.mission import Mission, load_mission
+from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
+from fg_gcs.plan.timing import warm_up
+from fg_gcs.record.recorder import plain
+
+
+def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
+    """Plan missions without flying; people read a few lines, programs one JSON line a mission.
+
+    Raises:
+        FgError: a file is at fault, or has no plan; the missions before it were told already.
+    """
+    if plot is not None and len(paths) > 1:
+        raise MissionError("--plot draws one mission; name only one file")
+    missions = [load_mission(path) for path in paths]
+    warm_up()
+    for path, mission in zip(paths, missions, strict=True):
+        try:
+            made = compile_flight(mission.task(), mission.tops_enu_m(), time.perf_counter)
+        except PlanError as error:
+            raise PlanError(f"{path}: {error}") from error
+        keys = plan_keys(str(path), mission, made)
+        print(_words(keys), file=sys.stderr)
+        if as_json:
+            print(json.dumps(plain(keys)), flush=True)
+        if plot is not None:
+            from fg_gcs.record.plot import plot_plan
+
+            plot_plan(made, mission.task(), plot)
+            print(f"drawn: {plot}", file=sys.stderr)
+    return 0
+
+
+def check(paths: Sequence[Path]) -> int:
+    """Say of each file whether it is a valid mission that has a plan; return 2 if one is not."""
+    warm_up()
+    bad = 0
+    for path in paths:
+        try:
+            mission = load_mission(path)
+            compile_flight(mission.task(), mission.tops_enu_m(), time.perf_counter)
+        except FgError as error:
+            text = str(error)
+            print(text if text.startswith(str(path)) else f"{path}: {text}", file=sys.stderr)
+            bad += 1
+        else:
+            print(f"{path}: good", file=sys.stderr)
+    return 2 if bad else 0
+
+
+def report(folder: Path) -> int:
+    """Write a recorded run's report again.
+
+    Raises:
+        MissionError: the folder does not hold a recorded run.
+    """
+    from fg_gcs.record.report import write_report
+
+    try:
+        path = write_report(folder)
+    except (OSError, ValueError, KeyError) as error:
+        raise MissionError(f"{folder}: not the folder of a recorded run: {error}") from error
+    print(f"report: {path}", file=sys.stderr)
+    return 0
+
+
+def plan_keys(name: str, mission: Mission, made: FlightPlan) -> dict[str, object]:
+    """Return a plan's figures by the names of the command line's JSON; peaks and separation are the whole flight's."""
+    first, second = made.separation.pair
+    ids = mission.swarm.ids()
+    return {
+        "mission": name,
+        "planner": "flux_guided",
+        "vehicles": len(made.slot_of),
+        "leaders": len(made.rim_of),
+        **made.figures._asdict(),
+        "plan_time_s": made.plan_time_s,
+        "timing_time_s": made.timing_time_s,
+        "duration_s": made.approach.duration_s,
+        "peak_speed_m_s": made.peaks.speed_m_s,
+        "peak_acceleration_m_s2": made.peaks.acceleration_m_s2,
+        "min_separation_m": made.separation.distance_m,
+        "min_separation_pair": [ids[first], ids[second]],
+    }
+
+
+def _words(keys: dict[str, object]) -> str:
+    return (
+        "{mission}: {vehicles} vehicles, {leaders} of them leaders\n"
+        "  path        {path_length_m:.1f} m over all leaders (straight {straight_length_m:.1f} m), {iterates} steps\n"
+        "  flux        metric {flux_metric:.3f} at the end; coverage {coverage_mean:.3f} on average, "
+        "{coverage_min_after_facing:.3f} at least once it faces the target\n"
+        "  duration    {duration_s:.2f} s; at most {peak_speed_m_s:.2f} m/s and {peak_acceleration_m_s2:.2f} m/s^2\n"
+        "  separation  {min_separation_m:.2f} m at least (vehicles {min_separation_pair[0]} and "
+        "{min_separation_pair[1]}), on the whole flight"
+    ).format(**keys) + f"\n  planned in  {1e3 * _sum(keys):.1f} ms"
+
+
+def _sum(keys: dict[str, object]) -> float:
+    parts = (keys["plan_time_s"], keys["timing_time_s"])
+    return sum(part for part in parts if isinstance(part, float))

@@ -1,0 +1,218 @@
+"""One run from the first heartbeat to the last word: connects, prepares, plans, flies, and always comes back."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from fg_gcs.errors import VehicleError
+from fg_gcs.flight.fleet import Fleet, names
+from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
+from fg_gcs.flight.sortie import Sortie
+from fg_gcs.link.clock import ticks
+from fg_gcs.link.endpoint import parse_endpoint
+from fg_gcs.link.router import Counters, Direction, Router
+from fg_gcs.mission.model import Mission
+from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight
+from fg_gcs.record.recorder import Recorder
+from fg_gcs.wire.codec import Message
+from fg_gcs.wire.phases import Phase
+from fg_gcs.wire.vehicle import Vehicle
+
+DRAIN_S = 0.2  # how often texts and phase changes are written down: soon enough for a person to read along
+
+
+class Setup(NamedTuple):
+    """How a run is connected."""
+
+    endpoints: tuple[str, ...]
+    wait_s: float  # how long to wait for the vehicles' first heartbeats
+    simulated: bool  # the vehicles are our own simulator's: the mission says where the world's origin is
+    stopwatch: Callable[[], float]  # seconds, for planning times
+
+
+@dataclass
+class Result:
+    """How a run went."""
+
+    completed: bool = False
+    reason: str = ""  # why it was not
+    stages: dict[str, tuple[float, float]] = field(default_factory=dict)  # begin and end since the run's start [s]
+    plan: FlightPlan | None = None
+    task: Task | None = None  # as planned: under the limits that the vehicles really have
+    vehicles_landed: int = 0
+    lost: tuple[int, ...] = ()  # system ids that fell silent and did not come back
+    late_ticks: int = 0
+    counters: Counters | None = None
+
+
+class Director:
+    """Flies one mission once.
+
+    Attributes:
+        result: what is known so far.
+        fleet: the vehicles, once they are found.
+        journal: the present stage and what was said.
+    """
+
+    def __init__(self, mission: Mission, setup: Setup, recorder: Recorder) -> None:
+        """Prepare to fly; nothing is opened before :meth:`fly`."""
+        self.result = Result()
+        self.fleet: Fleet | None = None
+        self.journal = Journal(recorder)
+        self._mission = mission
+        self._setup = setup
+        self._interrupts: asyncio.Queue[str] = asyncio.Queue()
+
+    def interrupt(self, reason: str) -> None:
+        """Stop the flight: the first time by flying home, a second time by landing on the spot."""
+        self._interrupts.put_nowait(reason)
+
+    async def fly(self) -> Result:
+        """Fly the mission; returns with everybody that still obeys on the ground.
+
+        Raises:
+            LinkError: nobody answered, or a port is taken.
+            PlanError: the mission has no plan; nothing was armed.
+        """
+        endpoints = [parse_endpoint(text) for text in self._setup.endpoints]
+        router = await Router.open(endpoints, on_message=self._on_message, tap=self._tap)
+        self.journal.event("open", f"listening at {', '.join(str(endpoint) for endpoint in endpoints)}")
+        background = [asyncio.create_task(router.keep_alive()), asyncio.create_task(self._drain(router))]
+        try:
+            await self._run(router, background)
+        finally:
+            for task in background:
+                task.cancel()
+            await asyncio.gather(*background, return_exceptions=True)
+            self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
+            self.result.stages = self.journal.stages
+            self.result.counters = router.counters
+            router.close()
+        return self.result
+
+    async def _run(self, router: Router, background: list[asyncio.Task[None]]) -> None:
+        failsafes: list[Failsafes] = []
+        sorties: list[Sortie] = []
+
+        async def on_the_ground() -> None:
+            fleet = await self._connect(router)
+            with self.journal.in_stage("prepare"):
+                task = await self._prepare(fleet, failsafes)
+            with self.journal.in_stage("plan"):
+                sorties.append(self._plan(fleet, task))
+
+        try:
+            await self._unless_interrupted(on_the_ground())
+            sortie = sorties[0]
+            background += [asyncio.create_task(sortie.streamer.run()), asyncio.create_task(sortie.watch())]
+            await self._unless_interrupted(self._all_alive(sortie.fly(), background))
+            self.result.completed = True
+        except VehicleError as error:
+            self.result.reason = str(error)
+            self.journal.event("abort", f"aborting: {error}")
+        finally:
+            for sortie in sorties:
+                if not self.result.completed:
+                    await sortie.bring_down(self._unless_interrupted)
+                self.result.late_ticks = sortie.streamer.late_ticks
+            self._count()
+            for failsafe in failsafes:
+                await self._put_back(failsafe)
+
+    async def _connect(self, router: Router) -> Fleet:
+        swarm = self._mission.swarm
+        with self.journal.in_stage("connect"):
+            wanted = swarm.ids() if swarm.system_ids or self._setup.simulated else None
+            found = await discover(router, self._setup.endpoints, swarm.vehicles, wanted, self._setup.wait_s)
+            self.fleet = Fleet(router, found)
+            kinds = sorted({vehicle.manners.name for vehicle in found})
+            self.journal.event("found", f"vehicles {names(self.fleet.row_of)} ({', '.join(kinds)})")
+        return self.fleet
+
+    async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
+        """Get the fleet ready; return the mission's task under the limits that the vehicles really have."""
+        recorder, task = self.journal.recorder, self._mission.task()
+        await prepare(fleet, recorder)
+        limits = await vehicle_limits(fleet, task.rules.limits, recorder)
+        failsafes.append(Failsafes(fleet, recorder))
+        await failsafes[0].set()
+        known = self._mission.origin is not None or self._setup.simulated
+        fleet.learn_frames(self._mission.origin_geodetic() if known else None, self._mission.pads_enu_m()[0])
+        return replace(task, rules=replace(task.rules, limits=limits))
+
+    def _plan(self, fleet: Fleet, task: Task) -> Sortie:
+        """Plan from where the vehicles really stand, and prove it, before anything is armed."""
+        tops = fleet.positions_enu_m()
+        tops[:, 2] = self._mission.takeoff.height_m
+        plan = compile_flight(task, tops, self._setup.stopwatch)
+        self.result.plan, self.result.task = plan, task
+        self.journal.event(
+            "plan",
+            f"{plan.figures.path_length_m:.1f} m for {len(plan.rim_of)} leaders in {plan.approach.duration_s:.1f} s, "
+            f"never closer than {plan.separation.distance_m:.2f} m; "
+            f"planned in {1e3 * (plan.plan_time_s + plan.timing_time_s):.0f} ms",
+        )
+        return Sortie(fleet, self._mission, task, plan, self.journal, self.interrupt)
+
+    async def _unless_interrupted(self, work: Awaitable[None]) -> None:
+        """Do the work, or stop it at the next interrupt.
+
+        Raises:
+            VehicleError: it was interrupted; says by what.
+        """
+        job = asyncio.ensure_future(work)
+        stop = asyncio.ensure_future(self._interrupts.get())
+        try:
+            await asyncio.wait((job, stop), return_when=asyncio.FIRST_COMPLETED)
+            if stop.done() and not job.done():
+                raise VehicleError(stop.result())
+            await job
+        finally:
+            for future in (job, stop):
+                future.cancel()
+            await asyncio.gather(job, stop, return_exceptions=True)
+
+    @staticmethod
+    async def _all_alive(work: Awaitable[None], background: list[asyncio.Task[None]]) -> None:
+        """Do the work; a background task that ends, ends it too: none of them ever ends but by a fault of ours."""
+        job = asyncio.ensure_future(work)
+        try:
+            await asyncio.wait((job, *background), return_when=asyncio.FIRST_COMPLETED)
+            for task in background:
+                if task.done():
+                    task.result()
+            await job
+        finally:
+            job.cancel()
+            await asyncio.gather(job, return_exceptions=True)
+
+    async def _drain(self, router: Router) -> None:
+        """Write down what vehicles and router say while it happens: run it as a task."""
+        async for _ in ticks(asyncio.get_running_loop().time(), DRAIN_S):
+            self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
+
+    async def _put_back(self, failsafes: Failsafes) -> None:
+        try:
+            await failsafes.put_back()
+        except VehicleError as error:
+            self.journal.event("warning", f"failsafes not put back: {error}")
+
+    def _count(self) -> None:
+        vehicles = self.fleet.vehicles if self.fleet else ()
+        self.result.lost = tuple(vehicle.system_id for vehicle in vehicles if vehicle.phase is Phase.LOST)
+        self.result.vehicles_landed = sum(not v.armed and v.phase is Phase.LANDED for v in vehicles)
+
+    def _tap(self, _direction: Direction, frame: bytes, now_s: float) -> None:
+        self.journal.recorder.frame(frame, now_s)
+
+    def _on_message(self, vehicle: Vehicle, message: Message, now_s: float) -> None:
+        """Keep every position sample of the fleet, once its frames are known."""
+        if message.get_type() == "LOCAL_POSITION_NED" and self.fleet is not None:
+            state = self.fleet.state_enu(vehicle)
+            if state is not None:
+                recorder = self.journal.recorder
+                recorder.telemetry.append((recorder.since_start_s(now_s), vehicle.system_id, *state))

@@ -1,0 +1,138 @@
+"""The vehicles of one flight, in the order of their system ids, and how they are asked for things."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic_from_enu, swap_ned_enu
+from fg_gcs.errors import VehicleError
+from fg_gcs.link.clock import ticks
+from fg_gcs.link.router import Router
+from fg_gcs.wire.commands import Dialogue, Request, State
+from fg_gcs.wire.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.02  # dialogues and conditions are looked at this often: faster than any acknowledgement but PX4's first
+
+
+class Fleet:
+    """Row v of every array belongs to ``vehicles[v]``; frames are known after :meth:`learn_frames`."""
+
+    def __init__(self, router: Router, vehicles: Sequence[Vehicle]) -> None:
+        """Take the vehicles in ascending order of their system ids."""
+        self.router = router
+        self.vehicles = tuple(vehicles)
+        self.row_of = {vehicle.system_id: row for row, vehicle in enumerate(self.vehicles)}
+        self.frames: tuple[LocalFrame, ...] = ()
+
+    def learn_frames(self, origin: Geodetic | None, first_pad_enu_m: Array) -> None:
+        """Join every vehicle's own frame to the mission's, while all stand on the ground.
+
+        Horizontally by the geodetic origins that they report; vertically each vehicle's ground is height 0, because
+        the altitudes of simulated GPS origins differ by more than a metre.
+
+        Args:
+            origin: where the mission's origin is; None: so that the first vehicle stands on the first pad.
+            first_pad_enu_m: that pad, shape (2,) [m].
+
+        Raises:
+            VehicleError: a vehicle has not told its origin or its position.
+        """
+        missing = [v.system_id for v in self.vehicles if v.origin is None or v.ground_ned_m is None]
+        if missing:
+            raise VehicleError(f"no origin or position from vehicles {names(missing)}")
+        places = [(Geodetic(*v.origin), v.ground_ned_m) for v in self.vehicles if v.origin and v.ground_ned_m]
+        if origin is None:
+            own_origin, ground = places[0]
+            away = np.append(np.asarray(first_pad_enu_m), 0.0) - swap_ned_enu(np.array([*ground[:2], 0.0]))
+            origin = geodetic_from_enu(-away, own_origin)
+        self.frames = tuple(
+            LocalFrame((*enu_from_geodetic(own_origin, origin)[:2].tolist(), ground[2]))
+            for own_origin, ground in places
+        )
+
+    def positions_enu_m(self) -> Array:
+        """Return where the vehicles are, shape (V, 3) [m; ENU]."""
+        return np.array(
+            [f.enu_from_ned(np.array(v.position_ned_m)) for v, f in zip(self.vehicles, self.frames, strict=True)]
+        )
+
+    def state_enu(self, vehicle: Vehicle) -> tuple[float, ...] | None:
+        """Return a vehicle's newest state as a row of the telemetry table, from the position on; None if unknown."""
+        row = self.row_of.get(vehicle.system_id)
+        if row is None or not self.frames or vehicle.position_ned_m is None or vehicle.velocity_ned_m_s is None:
+            return None
+        position = self.frames[row].enu_from_ned(np.array(vehicle.position_ned_m))
+        velocity = swap_ned_enu(np.array(vehicle.velocity_ned_m_s))
+        yaw_rad = np.nan if vehicle.yaw_rad is None else vehicle.yaw_rad
+        height_m = np.nan if vehicle.height_m is None else vehicle.height_m
+        return (*position.tolist(), *velocity.tolist(), yaw_rad, vehicle.boot_time_s, height_m)
+
+    def ned_from_enu(self, rows: Sequence[int], position_enu_m: Array) -> Array:
+        """Return local positions of mission ones for the vehicles at ``rows``, shape (len(rows), 3) [m]."""
+        return np.array([self.frames[row].ned_from_enu(p) for row, p in zip(rows, position_enu_m, strict=True)])
+
+    async def ask(self, vehicles: Iterable[Vehicle], script: Callable[[Vehicle], Iterable[Request]]) -> None:
+        """Work through each vehicle's requests, one after the other, all vehicles side by side.
+
+        Raises:
+            VehicleError: one line with every request that was refused or timed out; the others were finished first.
+        """
+        failures: list[str] = []
+        scripts = [(vehicle, iter(script(vehicle))) for vehicle in vehicles]
+        running = [self._next(vehicle, requests) for vehicle, requests in scripts]
+        loop = asyncio.get_running_loop()
+        async for _ in ticks(loop.time(), STEP_S):
+            for index, (vehicle, requests) in enumerate(scripts):
+                dialogue = running[index]
+                if dialogue is None:
+                    continue
+                message = dialogue.step(loop.time())
+                if message is not None:
+                    self.router.send_message(vehicle.system_id, message)
+                if dialogue.state is State.DONE:
+                    running[index] = self._next(vehicle, requests)
+                elif dialogue.state is not State.PENDING:
+                    failures.append(dialogue.reason)
+                    running[index] = None
+            if not any(running):
+                break
+        if failures:
+            raise VehicleError("; ".join(failures))
+
+    @staticmethod
+    def _next(vehicle: Vehicle, requests: Iterable[Request]) -> Dialogue | None:
+        request = next(iter(requests), None)
+        return None if request is None else Dialogue(vehicle, request)
+
+
+async def until(vehicles: Iterable[Vehicle], condition: Callable[[Vehicle], bool], timeout_s: float, what: str) -> None:
+    """Wait until a condition holds for every vehicle.
+
+    Raises:
+        VehicleError: names the vehicles for which it does not hold after ``timeout_s``.
+    """
+    watched = tuple(vehicles)
+    start_s = asyncio.get_running_loop().time()
+    async for k, late_s in ticks(start_s, STEP_S):
+        waiting = [vehicle.system_id for vehicle in watched if not condition(vehicle)]
+        if not waiting:
+            return
+        if k * STEP_S + late_s >= timeout_s:
+            raise VehicleError(f"vehicles {names(waiting)}: {what} within {timeout_s:g} s: no")
+
+
+def names(system_ids: Iterable[int]) -> str:
+    """Return system ids as people write them, runs joined: ``1-4, 7``."""
+    runs: list[list[int]] = []
+    for system_id in sorted(system_ids):
+        if runs and system_id == runs[-1][-1] + 1:
+            runs[-1].append(system_id)
+        else:
+            runs.append([system_id])
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)

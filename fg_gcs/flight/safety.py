@@ -1,0 +1,94 @@
+"""What is watched during flight, and what follows from it: facts in, faults out, and one table of consequences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fg_gcs.core.separation import Separation, closest_approach
+from fg_gcs.plan.limits import Rules
+from fg_gcs.wire.phases import Phase
+from fg_gcs.wire.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+FENCE_SLACK_M = 0.5  # plans may touch the fence; a vehicle's tracking error is not yet a breach
+BATTERY_LOW = 0.15  # share left; real autopilots warn at 10 to 15 %
+STALE_S = 0.5  # positions older than this say nothing about the distance of a pair
+
+
+class Kind(Enum):
+    """What can go wrong in flight."""
+
+    LOST = "lost: nothing heard from it"
+    TAKEN = "taken over: something else changed its mode"
+    DISARMED = "disarmed in flight"
+    SEPARATION = "closer than the minimum separation"
+    FENCE = "outside the fence"
+    BATTERY = "battery low"
+
+
+class Action(Enum):
+    """What the flight does about a fault."""
+
+    ABORT = "everybody who still obeys stops, flies home on checked lines and lands"
+    REPORT = "say so and go on"
+
+
+CONSEQUENCES: dict[Kind, Action] = {
+    Kind.LOST: Action.ABORT,
+    Kind.TAKEN: Action.ABORT,  # somebody wants it: hands off that one, and without it the formation proves nothing
+    Kind.DISARMED: Action.ABORT,
+    Kind.SEPARATION: Action.ABORT,
+    Kind.FENCE: Action.ABORT,
+    Kind.BATTERY: Action.REPORT,  # simulated ones fly on at 0 %, and the way home is part of every flight
+}
+
+
+class Fault(NamedTuple):
+    """Something that is wrong now."""
+
+    kind: Kind
+    system_ids: tuple[int, ...]
+    text: str  # one line for people
+
+
+def faults(vehicles: Sequence[Vehicle], positions_enu_m: Array, rules: Rules, now_s: float) -> list[Fault]:
+    """Return what is wrong with vehicles that should be flying a plan.
+
+    Args:
+        vehicles: the fleet.
+        positions_enu_m: where they are, shape (V, 3) [m].
+        rules: separation and fence.
+        now_s: the clock's reading [s].
+    """
+    found = []
+    for phase, kind in ((Phase.LOST, Kind.LOST), (Phase.TAKEN, Kind.TAKEN), (Phase.LANDED, Kind.DISARMED)):
+        for vehicle in vehicles:
+            if vehicle.phase is phase:
+                mode = f" ({vehicle.mode_name})" if kind is Kind.TAKEN else ""
+                found.append(Fault(kind, (vehicle.system_id,), f"vehicle {vehicle.system_id} {kind.value}{mode}"))
+    for vehicle in vehicles:
+        if vehicle.battery.remaining < BATTERY_LOW:  # never true while unknown
+            found.append(Fault(Kind.BATTERY, (vehicle.system_id,), f"vehicle {vehicle.system_id} {Kind.BATTERY.value}"))
+    fresh = [row for row, vehicle in enumerate(vehicles) if now_s - vehicle.position_at_s < STALE_S]
+    if len(fresh) > 1:
+        nearest = closest_approach(positions_enu_m[None, fresh], np.zeros(1))
+        if nearest.violates(rules.separation_m):
+            found.append(_too_close([vehicles[row].system_id for row in fresh], nearest, rules))
+    for row in fresh:
+        excess_m = float(rules.fence.excess_m(positions_enu_m[row]))
+        if excess_m > FENCE_SLACK_M:
+            system_id = vehicles[row].system_id
+            found.append(Fault(Kind.FENCE, (system_id,), f"vehicle {system_id} {Kind.FENCE.value} by {excess_m:.1f} m"))
+    return found
+
+
+def _too_close(system_ids: Sequence[int], nearest: Separation, rules: Rules) -> Fault:
+    first, second = (system_ids[index] for index in nearest.pair)
+    text = f"vehicles {first} and {second}: {nearest.distance_m:.2f} m apart (minimum {rules.separation_m:.2f} m)"
+    return Fault(Kind.SEPARATION, (first, second), text)

@@ -1,0 +1,219 @@
+"""From the ground to the ground: flies the plans of a prepared fleet, watches it, and brings it down in any case."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fg_gcs.errors import PlanError, VehicleError
+from fg_gcs.flight.fleet import Fleet, until
+from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.safety import CONSEQUENCES, Action, Kind, faults
+from fg_gcs.flight.streamer import Brake, Follow, Rest, Streamer
+from fg_gcs.link.clock import ticks
+from fg_gcs.mission.model import Mission
+from fg_gcs.plan.flight_plan import FlightPlan, Task, plan_home
+from fg_gcs.plan.trajectory import CheckedPlan, check
+from fg_gcs.wire.autopilots import TakeOff
+from fg_gcs.wire.commands import arm, disarm, land, set_mode, take_off
+from fg_gcs.wire.phases import Phase
+from fg_gcs.wire.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+WATCH_S = 0.1  # faults are looked for this often: at 10 m/s a metre of way
+ARRIVED_M = 0.5  # a vehicle this close to where it should rest has arrived
+ON_GROUND_M = 0.3  # lower than this a vehicle is disarmed rather than landed
+SETTLE_S = 10.0  # how long arriving may take after a plan has ended
+CLIMB_M_S = 0.5  # slowest climb to wait for at take-off
+SINK_M_S = 0.3  # slowest landing: PX4's last metre
+LANDING_SPARE_S = 20.0  # on top: switching modes, detecting the ground, disarming 2 s later
+
+WATCHED = {  # on the way up everybody is still below the floor, and who disarms there is told by the take-off itself
+    "take-off": frozenset(Kind) - {Kind.FENCE, Kind.DISARMED},
+    **dict.fromkeys(("gather", "approach", "hold", "home"), frozenset(Kind)),
+}
+
+
+class Sortie:
+    """One flight of a fleet that is ready to arm, along plans that are proven."""
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        mission: Mission,
+        task: Task,
+        plan: FlightPlan,
+        journal: Journal,
+        abort: Callable[[str], None],
+    ) -> None:
+        """Prepare to fly.
+
+        Args:
+            fleet: vehicles with their frames.
+            mission: what to fly.
+            task: the mission under the limits that the vehicles really have.
+            plan: the task's plans from where the vehicles stand.
+            journal: where to say what happens.
+            abort: called with a reason when a fault asks for it.
+        """
+        self.streamer = Streamer(fleet, journal.recorder, mission.stream.rate_hz)
+        self._fleet = fleet
+        self._mission = mission
+        self._task = task
+        self._plan = plan
+        self._journal = journal
+        self._abort = abort
+        self._tops_m = plan.gather.sample(np.zeros(1)).position_m[0]  # (V, 3) above the pads
+        self._known_faults: set[tuple[Kind, tuple[int, ...]]] = set()
+        self._time = asyncio.get_running_loop().time
+
+    async def fly(self) -> None:
+        """Take off, fly all plans, land.
+
+        Raises:
+            VehicleError: a vehicle refused, or did not do what it was told in time.
+        """
+        everybody = range(len(self._fleet.vehicles))
+        with self._journal.in_stage("take-off"):
+            await self._take_off()
+        with self._journal.in_stage("gather"):
+            await self._stream(everybody, self._plan.gather)
+            await self._settle(everybody, "the formation")
+        with self._journal.in_stage("approach"):
+            await self._stream(everybody, self._plan.approach)
+        with self._journal.in_stage("hold"):
+            self._journal.stage_ends_s = self._time() + self._mission.hold.duration_s
+            await asyncio.sleep(self._mission.hold.duration_s)
+        await self._go_home(everybody, self._plan.home)
+
+    async def bring_down(self, patience: Callable[[Awaitable[None]], Awaitable[None]]) -> None:
+        """Get everybody that still obeys onto the ground: home on checked lines if possible, else on the spot.
+
+        Args:
+            patience: runs the way home and raises :class:`VehicleError` when it is interrupted once more.
+        """
+        await self._disarm_the_low()
+        if not self._obeying():
+            return
+        try:
+            await patience(self._home_from_anywhere())
+        except (VehicleError, PlanError) as error:
+            self._journal.event("abort", f"landing on the spot: {error}")
+            try:
+                with self._journal.in_stage("land"):
+                    await self._land(self._obeying())
+            except VehicleError as again:
+                self._journal.event("warning", str(again))
+
+    async def watch(self) -> None:
+        """Look for faults while plans are flown, and act on each once: run it as a task."""
+        async for _ in ticks(self._time(), WATCH_S):
+            watched = WATCHED.get(self._journal.stage, frozenset())
+            positions = self._fleet.positions_enu_m()
+            for fault in faults(self._fleet.vehicles, positions, self._task.rules, self._time()):
+                if fault.kind not in watched or (fault.kind, fault.system_ids) in self._known_faults:
+                    continue
+                self._known_faults.add((fault.kind, fault.system_ids))
+                self._journal.event("fault", fault.text, fault=fault.kind.name.lower(), vehicles=fault.system_ids)
+                if fault.kind in (Kind.LOST, Kind.TAKEN):
+                    self.streamer.release(self._fleet.row_of[system_id] for system_id in fault.system_ids)
+                if CONSEQUENCES[fault.kind] is Action.ABORT:
+                    self._abort(fault.text)
+
+    # --- as planned ----------------------------------------------------------------------------------------------
+
+    async def _take_off(self) -> None:
+        """Lift everybody to the place above its pad, each autopilot in its own way."""
+        fleet, streamer = self._fleet, self.streamer
+        everybody = range(len(fleet.vehicles))
+        by_setpoint = [v for v in fleet.vehicles if v.manners.take_off is TakeOff.BY_SETPOINT]
+        by_command = [v for v in fleet.vehicles if v.manners.take_off is TakeOff.BY_COMMAND]
+        height_m = self._mission.takeoff.height_m
+        ground = fleet.positions_enu_m()
+        streamer.motion = Rest(everybody, ground, self._plan.gather.yaw_rad(ground))
+        streamer.engage(fleet.row_of[v.system_id] for v in by_setpoint)
+        await fleet.ask(fleet.vehicles, lambda vehicle: [set_mode(vehicle.manners.streaming_mode), arm()])
+        streamer.motion = Rest(everybody, self._tops_m, self._plan.gather.yaw_rad(self._tops_m))
+        await fleet.ask(by_command, lambda vehicle: [take_off(height_m, CLIMB_M_S)])
+        streamer.engage(everybody)  # the last of them is in the air: setpoints cancel no take-off any more
+        wait_s = SETTLE_S + height_m / CLIMB_M_S
+        await until(fleet.vehicles, self._arrived, wait_s, f"at the take-off height of {height_m:g} m")
+
+    async def _stream(self, rows: Sequence[int], plan: CheckedPlan) -> None:
+        motion = Follow(rows, plan, self._time())
+        self.streamer.motion = motion
+        self._journal.stage_ends_s = motion.end_s
+        await asyncio.sleep(plan.duration_s)
+
+    async def _settle(self, rows: Sequence[int], where: str) -> None:
+        """Wait until the vehicles have arrived where the motion has come to rest."""
+        await until([self._fleet.vehicles[row] for row in rows], self._arrived, SETTLE_S, f"arrived at {where}")
+
+    def _arrived(self, vehicle: Vehicle) -> bool:
+        """Say whether a vehicle is where the present motion wants it."""
+        motion = self.streamer.motion
+        if motion is None or vehicle.position_ned_m is None:
+            return False
+        row = self._fleet.row_of[vehicle.system_id]
+        wanted = motion.at(self._time()).position_m[list(motion.rows).index(row)]
+        place = self._fleet.frames[row].enu_from_ned(np.array(vehicle.position_ned_m))
+        return bool(np.linalg.norm(place - wanted) < ARRIVED_M)
+
+    async def _go_home(self, rows: Sequence[int], plan: CheckedPlan) -> None:
+        with self._journal.in_stage("home"):
+            await self._stream(rows, plan)
+            await self._settle(rows, "the places above the pads")
+        with self._journal.in_stage("land"):
+            await self._land(rows)
+
+    async def _land(self, rows: Sequence[int]) -> None:
+        """Land vehicles on the spot, and wait until they are disarmed."""
+        vehicles = [self._fleet.vehicles[row] for row in rows]
+        try:
+            await self._fleet.ask(vehicles, lambda vehicle: [land()])
+        finally:
+            self.streamer.release(rows)
+        highest_m = max((vehicle.height_m or 0.0 for vehicle in vehicles), default=0.0)
+        wait_s = LANDING_SPARE_S + highest_m / SINK_M_S
+        await until(vehicles, lambda v: not v.armed or v.phase is Phase.LOST, wait_s, "landed and disarmed")
+
+    # --- when something is wrong ---------------------------------------------------------------------------------
+
+    async def _disarm_the_low(self) -> None:
+        """Disarm who has not really lifted off yet; who will not disarm is landed with the others."""
+        low = [row for row in self._obeying() if (self._fleet.vehicles[row].height_m or 0.0) < ON_GROUND_M]
+        self.streamer.release(low)
+        try:
+            await self._fleet.ask([self._fleet.vehicles[row] for row in low], lambda vehicle: [disarm()])
+        except VehicleError as error:
+            self._journal.event("warning", f"{error}; landing instead")
+
+    async def _home_from_anywhere(self) -> None:
+        """Stop on the path, fly home on lines checked from where everybody is told to be, land.
+
+        Raises:
+            PlanError: there are no such lines.
+            VehicleError: a vehicle does not do as told.
+        """
+        motion = self.streamer.motion
+        if not isinstance(motion, Follow):
+            raise VehicleError("everybody is above its own pad")
+        brake = Brake(motion, self._time())
+        self.streamer.motion = brake
+        await asyncio.sleep(brake.end_s - self._time())
+        rows = self._obeying()
+        places = brake.at(self._time()).position_m[[list(brake.rows).index(row) for row in rows]]
+        way = plan_home(places, self._tops_m[rows], self._task)
+        await self._go_home(rows, check(way.pieces, self._task.rules, self._task.target_enu_m))
+
+    def _obeying(self) -> list[int]:
+        """Rows of the armed vehicles that are heard and that nobody else has taken."""
+        return [
+            row
+            for row, vehicle in enumerate(self._fleet.vehicles)
+            if vehicle.armed and vehicle.phase not in (Phase.LOST, Phase.TAKEN)
+        ]

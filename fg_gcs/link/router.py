@@ -1,0 +1,234 @@
+"""From sockets to vehicles and back: each message leaves once, to the address its vehicle was heard from."""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final, NamedTuple, Self
+
+from fg_gcs.link.clock import ticks
+from fg_gcs.link.endpoint import Address, Endpoint, Wire, open_wire
+from fg_gcs.wire import commands
+from fg_gcs.wire.autopilots import manners_of
+from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, Sender, is_known
+from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
+
+MOST_PEERS: Final = 512  # addresses kept; a flood of made-up senders must not fill the memory
+_AUTOPILOT: Final = 1  # component id
+
+
+class Direction(Enum):
+    """Which way a frame went."""
+
+    IN = "in"
+    OUT = "out"
+
+
+Tap = Callable[[Direction, bytes, float], None]
+OnMessage = Callable[[Vehicle, Message, float], None]
+
+
+class Counters(NamedTuple):
+    """What went through a router so far.
+
+    Attributes:
+        frames_in: Good frames, unknown messages included.
+        frames_out: Frames sent.
+        bad_bytes: Bytes that belonged to no good frame.
+        unknown_messages: Frames whose message the dialect does not know.
+        dropped: Frames not sent because the way out was full or closed.
+        unroutable: Frames for a system id that was never heard.
+        clashes: Frames ignored because their system id belongs to another address.
+        errors: Errors the system reported for our sockets.
+    """
+
+    frames_in: int
+    frames_out: int
+    bad_bytes: int
+    unknown_messages: int
+    dropped: int
+    unroutable: int
+    clashes: int
+    errors: int
+
+
+@dataclass(slots=True, eq=False)
+class Peer:
+    """One remote address: its own decoder and its own sequence numbers."""
+
+    wire: Wire
+    address: Address
+    codec: Codec = field(default_factory=Codec)
+    sender: Sender = field(default_factory=Sender)
+
+    def send(self, data: bytes) -> None:
+        """Send whole frames to this address."""
+        self.wire.send(data, self.address)
+
+
+class Router:
+    """Owns the sockets, learns where each vehicle is, and keeps its state; open one with `Router.open`.
+
+    Attributes:
+        vehicles: Every vehicle heard so far, by system id.
+        notices: Lines for people, such as two vehicles with one system id; each is said once.
+    """
+
+    def __init__(self, on_message: OnMessage | None = None, tap: Tap | None = None) -> None:
+        self.vehicles: dict[int, Vehicle] = {}
+        self.notices: deque[str] = deque(maxlen=64)
+        self._on_message = on_message
+        self._tap = tap
+        self._wires: list[Wire] = []
+        self._peers: dict[tuple[int, Address], Peer] = {}  # by wire (its id) and address
+        self._routes: dict[int, Peer] = {}
+        self._clashing: set[int] = set()
+        self._frames_out = self._unroutable = self._clashes = 0
+        self._time = asyncio.get_running_loop().time
+
+    @classmethod
+    async def open(
+        cls, endpoints: Iterable[Endpoint], *, on_message: OnMessage | None = None, tap: Tap | None = None
+    ) -> Self:
+        """Open all endpoints.
+
+        Args:
+            endpoints: Where vehicles are to be found.
+            on_message: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
+            tap: Gets every frame in both directions, unknown ones included, with the loop time [s]: the recorder.
+
+        Raises:
+            LinkError: A port is taken, or nobody listens; nothing stays open.
+        """
+        router = cls(on_message, tap)
+        try:
+            for endpoint in endpoints:
+                wire = await open_wire(endpoint, router._receive)
+                router._wires.append(wire)
+                if wire.remote is not None:
+                    router._peer(wire, wire.remote)
+        except BaseException:
+            router.close()
+            raise
+        return router
+
+    @property
+    def counters(self) -> Counters:
+        """What went through so far."""
+        codecs = [peer.codec for peer in self._peers.values()]
+        return Counters(
+            frames_in=sum(codec.frames for codec in codecs),
+            frames_out=self._frames_out,
+            bad_bytes=sum(codec.bad_bytes for codec in codecs),
+            unknown_messages=sum(codec.unknown_messages for codec in codecs),
+            dropped=sum(wire.dropped for wire in self._wires),
+            unroutable=self._unroutable,
+            clashes=self._clashes,
+            errors=sum(wire.errors for wire in self._wires),
+        )
+
+    def sender(self, system_id: int) -> Sender:
+        """Return what numbers the frames to this vehicle; for `pack_setpoint`.
+
+        Raises:
+            KeyError: The vehicle was never heard.
+        """
+        return self._routes[system_id].sender
+
+    def send(self, system_id: int, data: bytes) -> None:
+        """Send a packed frame to one vehicle, once; one that was never heard makes it count as unroutable."""
+        peer = self._routes.get(system_id)
+        if peer is None:
+            self._unroutable += 1
+            return
+        peer.wire.send(data, peer.address)
+        self._frames_out += 1
+        if self._tap is not None:
+            self._tap(Direction.OUT, data, self._time())
+
+    def send_message(self, system_id: int, message: Message) -> None:
+        """Pack a message and send it to one vehicle."""
+        peer = self._routes.get(system_id)
+        if peer is None:
+            self._unroutable += 1
+        else:
+            self.send(system_id, peer.sender.pack(message))
+
+    def heartbeat(self) -> None:
+        """Send our heartbeat once to every address that a vehicle speaks from, and to whom we are to call first."""
+        message = commands.heartbeat()
+        called = [peer for peer in self._peers.values() if peer.wire.remote is not None]
+        for peer in dict.fromkeys([*self._routes.values(), *called]):
+            data = peer.sender.pack(message)
+            peer.send(data)
+            self._frames_out += 1
+            if self._tap is not None:
+                self._tap(Direction.OUT, data, self._time())
+
+    async def keep_alive(self, period_s: float = 1.0) -> None:
+        """Send heartbeats and notice silent vehicles, for ever: run it as a task.
+
+        Args:
+            period_s: Autopilots want one heartbeat a second.
+        """
+        async for _ in ticks(self._time(), period_s):
+            self.heartbeat()
+            for vehicle in self.vehicles.values():
+                vehicle.watch(self._time())
+
+    def close(self) -> None:
+        """Close all sockets; may be called twice."""
+        for wire in self._wires:
+            wire.close()
+
+    def _peer(self, wire: Wire, address: Address) -> Peer | None:
+        key = (id(wire), address)
+        peer = self._peers.get(key)
+        if peer is None and len(self._peers) < MOST_PEERS:
+            peer = self._peers[key] = Peer(wire, address)
+        return peer
+
+    def _receive(self, wire: Wire, address: Address, data: bytes) -> None:
+        peer = self._peer(wire, address)
+        if peer is None:
+            return
+        now_s = self._time()
+        for message in peer.codec.receive(data):
+            if self._tap is not None:
+                self._tap(Direction.IN, bytes(message.get_msgbuf()), now_s)
+            if is_known(message):
+                self._dispatch(peer, message, now_s)
+
+    def _dispatch(self, peer: Peer, message: Message, now_s: float) -> None:
+        """Give a message to its vehicle; a heartbeat of an autopilot makes one."""
+        system_id = message.get_srcSystem()
+        if message.get_srcComponent() != _AUTOPILOT:
+            return
+        vehicle = self.vehicles.get(system_id)
+        if vehicle is None:
+            if system_id in (0, GCS_SYSTEM) or message.get_type() != "HEARTBEAT":
+                return
+            manners = manners_of(message)
+            if manners is None:
+                return
+            vehicle = self.vehicles[system_id] = Vehicle(system_id, manners, now_s)
+            self._routes[system_id] = peer
+        elif self._routes[system_id] is not peer and not self._moved(vehicle, peer, message, now_s):
+            return
+        vehicle.handle(message, now_s)
+        if self._on_message is not None:
+            self._on_message(vehicle, message, now_s)
+
+    def _moved(self, vehicle: Vehicle, peer: Peer, message: Message, now_s: float) -> bool:
+        """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
+        system_id = vehicle.system_id
+        if now_s - vehicle.heard_at_s > LOST_AFTER_S and message.get_type() == "HEARTBEAT":
+            self._routes[system_id] = peer
+            return True
+        self._clashes += 1
+        if system_id not in self._clashing:
+            self._clashing.add(system_id)
+            host, port = peer.address
+            self.notices.append(f"two vehicles have system id {system_id}: the one at {host}:{port} is ignored")
+        return False

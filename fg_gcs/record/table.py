@@ -1,0 +1,70 @@
+"""Columnar tables of numbers that grow row by row and are saved as one compressed NumPy archive."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Array]
+
+TELEMETRY: dict[str, int] = {  # width of each column
+    "time_s": 1,  # when the ground station received it, since the start of the run
+    "system_id": 1,
+    "position_enu_m": 3,
+    "velocity_enu_m_s": 3,
+    "yaw_rad": 1,  # clockwise from north; NaN until known
+    "boot_time_s": 1,  # the vehicle's own clock
+    "height_m": 1,  # above the vehicle's own ground
+}
+SETPOINTS: dict[str, int] = {
+    "time_s": 1,  # the instant the setpoint is meant for, since the start of the run
+    "system_id": 1,
+    "position_enu_m": 3,
+    "velocity_enu_m_s": 3,
+    "acceleration_enu_m_s2": 3,
+    "yaw_rad": 1,
+}
+TICKS: dict[str, int] = {"time_s": 1, "late_s": 1}
+
+
+class Table:
+    """Rows of floats under named columns."""
+
+    def __init__(self, columns: Mapping[str, int]) -> None:
+        """Take the width of every column, by its name and in its order."""
+        self._columns = dict(columns)
+        self._width = sum(columns.values())
+        self._cells = array("d")
+
+    def append(self, row: Iterable[float]) -> None:
+        """Add a row; as many numbers as all columns are wide."""
+        self._cells.extend(row)
+
+    def columns(self) -> dict[str, Array]:
+        """Return copies of all columns by name, of shape (rows,) or (rows, width)."""
+        cells = np.array(self._cells).reshape(-1, self._width)
+        edges = np.cumsum([0, *self._columns.values()])
+        return {
+            name: cells[:, edge] if width == 1 else cells[:, edge : edge + width]
+            for (name, width), edge in zip(self._columns.items(), edges[:-1], strict=True)
+        }
+
+    def save(self, path: Path) -> None:
+        """Write all columns; the same rows give the same bytes."""
+        np.savez_compressed(path, allow_pickle=False, **self.columns())
+
+
+def load(path: Path) -> dict[str, Array]:
+    """Return the columns of a saved table.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not such a table.
+    """
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}

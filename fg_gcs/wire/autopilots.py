@@ -1,0 +1,242 @@
+"""What PX4 and ArduPilot do differently, as one table: `PX4` and `ARDUPILOT`.
+
+Every entry was measured on ArduCopter 4.7-dev and PX4 1.17-alpha in simulation, see docs/autopilots.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+from typing import Final
+
+from pymavlink.dialects.v20 import all as dialect
+
+from fg_gcs.wire.codec import Message
+from fg_gcs.wire.params import Encoding
+
+_QUIET_HZ: Final = -1.0  # negative rate: switch the stream off
+
+
+class TakeOff(Enum):
+    """How a vehicle leaves the ground."""
+
+    BY_SETPOINT = "setpoints in the streaming mode lift it off"
+    BY_COMMAND = "NAV_TAKEOFF lifts it off; a setpoint before lift-off cancels that in silence"
+
+
+@dataclass(frozen=True, slots=True)
+class LimitParameter:
+    """Where one limit is stored.
+
+    Attributes:
+        quantity: Field name of the limit: speed_m_s, climb_m_s, descent_m_s, acceleration_m_s2 or jerk_m_s3.
+        names: Parameter name and unit scale to SI, the newest firmware first; a vehicle has one of them.
+    """
+
+    quantity: str
+    names: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class FailsafeParameter:
+    """One parameter that decides what happens when we fall silent.
+
+    Attributes:
+        name: Parameter name.
+        wanted: The value that is safe for a swarm, None when the value is only to be reported.
+        reason: One line for people.
+    """
+
+    name: str
+    wanted: float | None
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One telemetry stream to ask for.
+
+    Attributes:
+        message_id: MAVLink message id.
+        name: Its name.
+        rate_hz: Rate [Hz]; negative switches it off.
+        needed: A vehicle that refuses this one cannot be flown by us; others are asked for politely.
+    """
+
+    message_id: int
+    name: str
+    rate_hz: float
+    needed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Manners:
+    """How one autopilot wants to be talked to.
+
+    Attributes:
+        name: For people.
+        autopilot: MAV_AUTOPILOT of its heartbeat.
+        modes: Custom mode numbers by readable name.
+        streaming_mode: Mode in which position targets are obeyed.
+        hold_mode: Mode that stays where it is (ArduPilot: BRAKE, since LOITER sinks when no RC is there).
+        land_mode: Mode that lands here.
+        return_mode: Mode that flies home; a swarm must not use it, all climb to the same height.
+        take_off: How it leaves the ground.
+        setpoints_before_mode: The streaming mode is refused unless a setpoint came just before.
+        lands_by_command: NAV_LAND lands it; otherwise the mode does.
+        encoding: How integer parameters travel.
+        limits: Where its limits of flight are stored.
+        failsafes: What to check before arming.
+        rates_hz: Streams to ask for beside LOCAL_POSITION_NED, by message name; negative: off.
+    """
+
+    name: str
+    autopilot: int
+    modes: Mapping[str, int]
+    streaming_mode: int
+    hold_mode: int
+    land_mode: int
+    return_mode: int
+    take_off: TakeOff
+    setpoints_before_mode: bool
+    lands_by_command: bool
+    encoding: Encoding
+    limits: tuple[LimitParameter, ...]
+    failsafes: tuple[FailsafeParameter, ...]
+    rates_hz: Mapping[str, float]
+
+    def mode_name(self, mode: int) -> str:
+        """Return the readable name of a custom mode number; an unknown one is spelt as a number."""
+        return next((name for name, number in self.modes.items() if number == mode), f"mode {mode:#x}")
+
+    def streams(self, telemetry_hz: float = 50.0) -> tuple[Stream, ...]:
+        """Return what to request on our link: enough to fly, little enough for nine vehicles.
+
+        Args:
+            telemetry_hz: Rate of LOCAL_POSITION_NED [Hz]. ArduPilot cuts intervals to whole milliseconds.
+        """
+        rates = {"LOCAL_POSITION_NED": telemetry_hz, **self.rates_hz}
+        return tuple(Stream(_message_id(name), name, rate_hz, name in _NEEDED) for name, rate_hz in rates.items())
+
+
+def manners_of(heartbeat: Message) -> Manners | None:
+    """Return the manners of the autopilot that sent this HEARTBEAT; None for anything but a known autopilot."""
+    if heartbeat.type == dialect.MAV_TYPE_GCS:
+        return None
+    return next((manners for manners in (PX4, ARDUPILOT) if manners.autopilot == heartbeat.autopilot), None)
+
+
+def _message_id(name: str) -> int:
+    identity: int = getattr(dialect, f"MAVLINK_MSG_ID_{name}")
+    return identity
+
+
+def _px4_mode(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+def _limit(quantity: str, **names: float) -> LimitParameter:
+    return LimitParameter(quantity, MappingProxyType(names))
+
+
+_NEEDED: Final = frozenset({"LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "SYS_STATUS"})
+
+_RATES_HZ: Final = {
+    "ATTITUDE": 10.0,
+    "EXTENDED_SYS_STATE": 5.0,  # landed state: decides when a vehicle counts as airborne
+    "SYS_STATUS": 2.0,  # readiness and battery
+    "GLOBAL_POSITION_INT": 1.0,  # for maps in recordings only
+}
+
+_PX4_MODES: Final = {
+    "MANUAL": _px4_mode(1),
+    "ALTCTL": _px4_mode(2),
+    "POSCTL": _px4_mode(3),
+    "TAKEOFF": _px4_mode(4, 2),
+    "LOITER": _px4_mode(4, 3),
+    "MISSION": _px4_mode(4, 4),
+    "RTL": _px4_mode(4, 5),
+    "LAND": _px4_mode(4, 6),
+    "ACRO": _px4_mode(5),
+    "OFFBOARD": _px4_mode(6),
+    "STABILIZED": _px4_mode(7),
+}
+
+_ARDUPILOT_MODES: Final = {
+    "STABILIZE": 0,
+    "ACRO": 1,
+    "ALT_HOLD": 2,
+    "AUTO": 3,
+    "GUIDED": 4,
+    "LOITER": 5,
+    "RTL": 6,
+    "CIRCLE": 7,
+    "LAND": 9,
+    "POSHOLD": 16,
+    "BRAKE": 17,
+    "SMART_RTL": 21,
+    "AUTO_RTL": 27,
+}
+
+PX4: Final = Manners(
+    name="PX4",
+    autopilot=dialect.MAV_AUTOPILOT_PX4,
+    modes=MappingProxyType(_PX4_MODES),
+    streaming_mode=_PX4_MODES["OFFBOARD"],
+    hold_mode=_PX4_MODES["LOITER"],
+    land_mode=_PX4_MODES["LAND"],
+    return_mode=_PX4_MODES["RTL"],
+    take_off=TakeOff.BY_SETPOINT,
+    setpoints_before_mode=True,
+    lands_by_command=True,
+    encoding=Encoding.BYTEWISE,
+    limits=(
+        _limit("speed_m_s", MPC_XY_VEL_MAX=1.0),
+        _limit("climb_m_s", MPC_Z_VEL_MAX_UP=1.0),
+        _limit("descent_m_s", MPC_Z_VEL_MAX_DN=1.0),
+        _limit("acceleration_m_s2", MPC_ACC_HOR_MAX=1.0),  # MPC_ACC_HOR binds its own automatic modes only
+    ),
+    failsafes=(
+        FailsafeParameter("COM_OBL_RC_ACT", 4.0, "setpoints stop: land; the default sinks and drifts without RC"),
+        FailsafeParameter("COM_OF_LOSS_T", None, "seconds without setpoints until that happens"),
+        FailsafeParameter("NAV_DLL_ACT", None, "what happens when our heartbeats stop"),
+    ),
+    rates_hz=MappingProxyType(
+        _RATES_HZ
+        | {"CURRENT_MODE": 5.0}  # its HEARTBEAT stays at 1 Hz whatever one asks: a mode change would show late
+        | dict.fromkeys(
+            # 50 Hz each by default, 370 messages a second in all: nine vehicles would flood us.
+            ("ATTITUDE_QUATERNION", "ATTITUDE_TARGET", "SERVO_OUTPUT_RAW", "POSITION_TARGET_LOCAL_NED"),
+            _QUIET_HZ,
+        )
+    ),
+)
+
+ARDUPILOT: Final = Manners(
+    name="ArduPilot",
+    autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    modes=MappingProxyType(_ARDUPILOT_MODES),
+    streaming_mode=_ARDUPILOT_MODES["GUIDED"],
+    hold_mode=_ARDUPILOT_MODES["BRAKE"],
+    land_mode=_ARDUPILOT_MODES["LAND"],
+    return_mode=_ARDUPILOT_MODES["RTL"],
+    take_off=TakeOff.BY_COMMAND,
+    setpoints_before_mode=False,
+    lands_by_command=False,
+    encoding=Encoding.CAST,
+    limits=(  # firmware 4.7 renamed them and went from centimetres to metres
+        _limit("speed_m_s", WP_SPD=1.0, WPNAV_SPEED=0.01),
+        _limit("climb_m_s", WP_SPD_UP=1.0, WPNAV_SPEED_UP=0.01),
+        _limit("descent_m_s", WP_SPD_DN=1.0, WPNAV_SPEED_DN=0.01),
+        _limit("acceleration_m_s2", WP_ACC=1.0, WPNAV_ACCEL=0.01),
+        _limit("jerk_m_s3", PSC_NE_JERK=1.0, PSC_JERK_NE=1.0, PSC_JERK_XY=1.0),
+    ),
+    failsafes=(
+        FailsafeParameter("FS_GCS_ENABLE", 5.0, "our heartbeats stop: land; the default does nothing"),
+        FailsafeParameter("FS_GCS_TIMEOUT", None, "seconds without heartbeats until that happens"),
+        FailsafeParameter("GUID_TIMEOUT", None, "seconds that a target runs on after setpoints stop"),
+    ),
+    rates_hz=MappingProxyType(
+        _RATES_HZ | {"HEARTBEAT": 5.0}  # arming shows in the next heartbeat only: up to 1 s late by default
+    ),
+)

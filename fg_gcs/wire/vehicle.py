@@ -1,0 +1,329 @@
+"""One vehicle as its telemetry shows it; takes messages and times, knows no socket and no clock."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import ClassVar, Final, NamedTuple
+
+from pymavlink.dialects.v20 import all as dialect
+
+from fg_gcs.wire import params
+from fg_gcs.wire.autopilots import Manners, manners_of
+from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Message
+from fg_gcs.wire.phases import Event, Phase, following
+from fg_gcs.wire.texts import Text, TextAssembler
+
+LOST_AFTER_S: Final = 3.0  # three heartbeats at 1 Hz: one lost datagram is no lost vehicle
+MOST_PARAMETERS: Final = 4096  # real autopilots have up to 1,350; a flood of made-up names must not fill the memory
+QUEUE_LENGTH: Final = 512  # texts and changes kept for whoever reads them; the oldest go first
+
+_AIRBORNE: Final = frozenset(
+    {dialect.MAV_LANDED_STATE_TAKEOFF, dialect.MAV_LANDED_STATE_IN_AIR, dialect.MAV_LANDED_STATE_LANDING}
+)
+
+Vector = tuple[float, float, float]
+
+
+class Ack(NamedTuple):
+    """The newest acknowledgement of one command. PX4 sends two for a mode change: a blind one, then the truth.
+
+    Attributes:
+        result: MAV_RESULT.
+        at_s: When it came [s].
+        times: How many came for this command so far.
+    """
+
+    result: int
+    at_s: float
+    times: int
+
+
+class ParamError(NamedTuple):
+    """A parameter that the vehicle would not read or write (PX4 says so, ArduPilot is silent).
+
+    Attributes:
+        error: MAV_PARAM_ERROR.
+        at_s: When it said so [s].
+    """
+
+    error: int
+    at_s: float
+
+
+class Origin(NamedTuple):
+    """Where a local frame has its zero.
+
+    Attributes:
+        lat_deg: Latitude [deg; WGS84].
+        lon_deg: Longitude [deg; WGS84].
+        alt_m: Altitude above mean sea level [m].
+    """
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
+
+class Battery(NamedTuple):
+    """State of charge.
+
+    Attributes:
+        voltage_v: Voltage [V], NaN if unknown.
+        remaining: Share left, 0 to 1, NaN if unknown.
+    """
+
+    voltage_v: float
+    remaining: float
+
+
+class PhaseChange(NamedTuple):
+    """One step through `fg_gcs.wire.phases.TRANSITIONS`."""
+
+    at_s: float
+    before: Phase
+    event: Event
+    after: Phase
+
+
+class Vehicle:
+    """State of one vehicle, kept by the messages of its autopilot (component 1).
+
+    Args:
+        system_id: MAVLink system id.
+        manners: How its autopilot wants to be talked to.
+        now_s: Loop time of the first heartbeat [s].
+
+    Attributes:
+        phase: Where it is in its flight.
+        changes: Phase changes, for whoever takes them out (`deque.popleft`).
+        texts: Whole status texts, for whoever takes them out.
+        mode: Custom mode, None before the first heartbeat. The newest of HEARTBEAT and CURRENT_MODE.
+        commanded_mode: The mode that we put it in; any other mode, once that one was seen, is a take-over.
+        armed: Motors armed.
+        system_status: MAV_STATE of the heartbeat.
+        prearm_ok: Pre-arm checks are good *for the current mode*: choose the streaming mode first.
+        landed_state: MAV_LANDED_STATE, 0 while unknown.
+        position_ned_m: [m; NED from the vehicle's own local origin], None before the first.
+        velocity_ned_m_s: [m/s; NED], None before the first.
+        boot_time_s: The vehicle's clock at that sample [s].
+        position_at_s: Our loop time when that sample came [s].
+        samples: Number of finite LOCAL_POSITION_NED so far: a new number is a new sample.
+        ground_ned_m: The last position while disarmed; its z is this vehicle's ground, which is not z = 0.
+        yaw_rad: Heading [rad; clockwise from north], None before the first ATTITUDE.
+        origin: Origin of its local frame, None before the first GPS_GLOBAL_ORIGIN.
+        home: Home as the vehicle has it; PX4 lets its altitude wander by 1.5 m.
+        battery: State of charge.
+        params: Values of the parameters heard so far, by name.
+        param_types: Their MAV_PARAM_TYPE.
+        param_at_s: When they came [s].
+        param_errors: Newest refusal by parameter name.
+        acks: Newest acknowledgement by command, of those addressed to us.
+        intervals_us: Interval by message id as told by MESSAGE_INTERVAL [us].
+        message_at_s: Loop time of the newest message by message id [s].
+        heartbeat_at_s: Loop time of the newest heartbeat [s].
+        heard_at_s: Loop time of the newest message [s].
+    """
+
+    def __init__(self, system_id: int, manners: Manners, now_s: float) -> None:
+        self.system_id = system_id
+        self.manners = manners
+        self.phase = Phase.DISCOVERED
+        self.changes: deque[PhaseChange] = deque(maxlen=QUEUE_LENGTH)
+        self.texts: deque[Text] = deque(maxlen=QUEUE_LENGTH)
+        self.recent_texts: deque[Text] = deque(maxlen=16)  # why a request was refused: a few lines
+        self.mode: int | None = None
+        self.commanded_mode: int | None = None
+        self.armed = False
+        self.system_status = 0
+        self.prearm_ok = False
+        self.landed_state = 0
+        self.position_ned_m: Vector | None = None
+        self.velocity_ned_m_s: Vector | None = None
+        self.boot_time_s = 0.0
+        self.position_at_s = -math.inf
+        self.samples = 0
+        self.ground_ned_m: Vector | None = None
+        self.yaw_rad: float | None = None
+        self.origin: Origin | None = None
+        self.home: Origin | None = None
+        self.battery = Battery(math.nan, math.nan)
+        self.params: dict[str, float] = {}
+        self.param_types: dict[str, int] = {}
+        self.param_at_s: dict[str, float] = {}
+        self.param_errors: dict[str, ParamError] = {}
+        self.acks: dict[int, Ack] = {}
+        self.intervals_us: dict[int, int] = {}
+        self.message_at_s: dict[int, float] = {}
+        self.heartbeat_at_s = now_s
+        self.heard_at_s = now_s
+        self._assembler = TextAssembler()
+        self._accepted_modes: frozenset[int | None] | None = None  # None: nothing commanded, nothing to take over
+
+    @property
+    def mode_name(self) -> str:
+        """Readable name of the mode."""
+        return "unknown" if self.mode is None else self.manners.mode_name(self.mode)
+
+    @property
+    def airborne(self) -> bool:
+        """Off the ground, by its landed state: an acknowledged take-off is not yet one."""
+        return self.landed_state in _AIRBORNE
+
+    @property
+    def height_m(self) -> float | None:
+        """Height above where it last stood disarmed [m]; None before that is known."""
+        if self.position_ned_m is None or self.ground_ned_m is None:
+            return None
+        return self.ground_ned_m[2] - self.position_ned_m[2]
+
+    def handle(self, message: Message, now_s: float) -> None:
+        """Take one message of this vehicle; never raises, fields that are not finite are not believed.
+
+        Args:
+            message: Any message; those of other components and unknown ones change nothing.
+            now_s: Loop time [s].
+        """
+        if message.get_srcComponent() != dialect.MAV_COMP_ID_AUTOPILOT1:
+            return
+        identity = message.get_msgId()
+        if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and manners_of(message) is not self.manners:
+            return
+        self.heard_at_s = now_s
+        self.message_at_s[identity] = now_s
+        handler = self._HANDLERS.get(identity)
+        if handler is not None:
+            handler(self, message, now_s)
+
+    def watch(self, now_s: float) -> None:
+        """Notice silence, and give out texts whose rest never came: call it about once a second."""
+        self._tell(self._assembler.flush_stale(now_s))
+        if now_s - self.heard_at_s > LOST_AFTER_S:
+            self._apply(Event.SILENT, now_s)
+
+    def command_mode(self, mode: int) -> None:
+        """Say that we command ``mode``: until it is seen, the mode before it is ours as well; then only it is."""
+        self.commanded_mode = mode
+        self._accepted_modes = frozenset({mode}) if self.mode == mode else frozenset({mode, self.mode})
+
+    def _judge(self, now_s: float) -> None:
+        for event in self._evidence():
+            self._apply(event, now_s)
+
+    def _evidence(self) -> Iterator[Event]:
+        """Yield what the telemetry says now, in the order in which it must be believed."""
+        yield Event.ARMED if self.armed else Event.DISARMED
+        if self.airborne:
+            yield Event.AIRBORNE
+        if self._accepted_modes is not None and self.mode not in self._accepted_modes:
+            yield Event.TAKEN_OVER
+        elif self.mode == self.manners.land_mode:
+            yield Event.LANDING_BEGAN
+        if not self.armed:
+            yield Event.CHECKS_PASSED if self.prearm_ok else Event.CHECKS_FAILED
+
+    def _apply(self, event: Event, now_s: float) -> None:
+        before, self.phase = self.phase, following(self.phase, event)
+        if self.phase is not before:
+            self.changes.append(PhaseChange(now_s, before, event, self.phase))
+
+    def _tell(self, texts: list[Text]) -> None:
+        self.texts.extend(texts)
+        self.recent_texts.extend(texts)
+
+    def _set_mode(self, mode: int) -> None:
+        if mode == self.commanded_mode:
+            self._accepted_modes = frozenset({mode})
+        self.mode = mode
+
+    def _on_heartbeat(self, message: Message, now_s: float) -> None:
+        self.heartbeat_at_s = now_s
+        self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.system_status = message.system_status
+        self._set_mode(message.custom_mode)
+        self._apply(Event.HEARD, now_s)
+        self._judge(now_s)
+
+    def _on_current_mode(self, message: Message, now_s: float) -> None:
+        self._set_mode(message.custom_mode)
+        self._judge(now_s)
+
+    def _on_sys_status(self, message: Message, now_s: float) -> None:
+        self.prearm_ok = bool(message.onboard_control_sensors_health & dialect.MAV_SYS_STATUS_PREARM_CHECK)
+        voltage_mv, percent = message.voltage_battery, message.battery_remaining
+        self.battery = Battery(
+            voltage_v=math.nan if voltage_mv == 0xFFFF else voltage_mv / 1000.0,  # MAVLink's "not known"
+            remaining=percent / 100.0 if 0 <= percent <= 100 else math.nan,
+        )
+        self._judge(now_s)
+
+    def _on_landed_state(self, message: Message, now_s: float) -> None:
+        self.landed_state = message.landed_state
+        self._judge(now_s)
+
+    def _on_position(self, message: Message, now_s: float) -> None:
+        position = (message.x, message.y, message.z)
+        velocity = (message.vx, message.vy, message.vz)
+        if not math.isfinite(sum(position) + sum(velocity)):
+            return
+        self.position_ned_m, self.velocity_ned_m_s = position, velocity
+        self.boot_time_s = message.time_boot_ms / 1000.0
+        self.position_at_s = now_s
+        self.samples += 1
+        if not self.armed:
+            self.ground_ned_m = position
+
+    def _on_attitude(self, message: Message, now_s: float) -> None:
+        if math.isfinite(message.yaw):
+            self.yaw_rad = message.yaw
+
+    def _on_origin(self, message: Message, now_s: float) -> None:
+        self.origin = _origin_of(message)
+
+    def _on_home(self, message: Message, now_s: float) -> None:
+        self.home = _origin_of(message)
+
+    def _on_ack(self, message: Message, now_s: float) -> None:
+        if message.target_system in (0, GCS_SYSTEM) and message.target_component in (0, GCS_COMPONENT):
+            earlier = self.acks.get(message.command)
+            self.acks[message.command] = Ack(message.result, now_s, earlier.times + 1 if earlier else 1)
+
+    def _on_text(self, message: Message, now_s: float) -> None:
+        self._tell(self._assembler.add(message, now_s))
+
+    def _on_param(self, message: Message, now_s: float) -> None:
+        name = message.param_id
+        if name not in self.params and len(self.params) >= MOST_PARAMETERS:
+            return
+        self.params[name] = params.decode(message, self.manners.encoding)
+        self.param_types[name] = message.param_type
+        self.param_at_s[name] = now_s
+
+    def _on_param_error(self, message: Message, now_s: float) -> None:
+        if len(self.param_errors) < MOST_PARAMETERS:
+            self.param_errors[message.param_id] = ParamError(message.error, now_s)
+
+    def _on_interval(self, message: Message, now_s: float) -> None:
+        self.intervals_us[message.message_id] = message.interval_us
+
+    _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Message, float], None]]] = MappingProxyType(
+        {
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: _on_heartbeat,
+            dialect.MAVLINK_MSG_ID_CURRENT_MODE: _on_current_mode,
+            dialect.MAVLINK_MSG_ID_SYS_STATUS: _on_sys_status,
+            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _on_landed_state,
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _on_position,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: _on_attitude,
+            dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _on_origin,
+            dialect.MAVLINK_MSG_ID_HOME_POSITION: _on_home,
+            dialect.MAVLINK_MSG_ID_COMMAND_ACK: _on_ack,
+            dialect.MAVLINK_MSG_ID_STATUSTEXT: _on_text,
+            dialect.MAVLINK_MSG_ID_PARAM_VALUE: _on_param,
+            dialect.MAVLINK_MSG_ID_PARAM_ERROR: _on_param_error,
+            dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL: _on_interval,
+        }
+    )
+
+
+def _origin_of(message: Message) -> Origin:
+    return Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)

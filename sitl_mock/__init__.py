@@ -1,0 +1,1 @@
+"""A particle simulator of MAVLink vehicles; imports nothing from fg_gcs."""

@@ -1,0 +1,85 @@
+"""WGS84 and the simulator's flat world: latitude, longitude, height <-> ENU metres at an origin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+SEMI_MAJOR_M = 6378137.0  # WGS84
+FLATTENING = 1.0 / 298.257223563  # WGS84
+ECCENTRICITY2 = FLATTENING * (2.0 - FLATTENING)
+ITERATIONS = 6  # height and latitude agree to below a nanometre after five, for any height in the air
+
+
+@dataclass(frozen=True, slots=True)
+class Geodetic:
+    """A point: degrees, and metres above the ellipsoid (the simulator takes it for sea level)."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
+def _ecef_m(point: Geodetic) -> tuple[float, float, float]:
+    latitude, longitude = math.radians(point.latitude_deg), math.radians(point.longitude_deg)
+    normal_m = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY2 * math.sin(latitude) ** 2)
+    across_m = (normal_m + point.altitude_m) * math.cos(latitude)
+    return (
+        across_m * math.cos(longitude),
+        across_m * math.sin(longitude),
+        (normal_m * (1.0 - ECCENTRICITY2) + point.altitude_m) * math.sin(latitude),
+    )
+
+
+def _geodetic(x_m: float, y_m: float, z_m: float) -> Geodetic:
+    across_m = math.hypot(x_m, y_m)
+    latitude = math.atan2(z_m, across_m * (1.0 - ECCENTRICITY2))
+    normal_m = SEMI_MAJOR_M
+    for _ in range(ITERATIONS):
+        normal_m = SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY2 * math.sin(latitude) ** 2)
+        latitude = math.atan2(z_m + ECCENTRICITY2 * normal_m * math.sin(latitude), across_m)
+    # Along the radius at the latitude: sound at the poles too, where across / cos is 0 / 0.
+    height_m = (
+        across_m * math.cos(latitude)
+        + z_m * math.sin(latitude)
+        - SEMI_MAJOR_M * math.sqrt(1.0 - ECCENTRICITY2 * math.sin(latitude) ** 2)
+    )
+    return Geodetic(math.degrees(latitude), math.degrees(math.atan2(y_m, x_m)), height_m)
+
+
+class World:
+    """The tangent plane at an origin.
+
+    Args:
+        origin: where NED (0, 0, 0) is.
+    """
+
+    def __init__(self, origin: Geodetic) -> None:
+        self.origin = origin
+        self._origin_m = _ecef_m(origin)
+        latitude, longitude = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
+        self._sin_latitude, self._cos_latitude = math.sin(latitude), math.cos(latitude)
+        self._sin_longitude, self._cos_longitude = math.sin(longitude), math.cos(longitude)
+
+    def geodetic(self, north_m: float, east_m: float, down_m: float) -> Geodetic:
+        """The point at NED metres from the origin."""
+        sin_b, cos_b = self._sin_latitude, self._cos_latitude
+        sin_l, cos_l = self._sin_longitude, self._cos_longitude
+        outwards_m = -sin_b * north_m - cos_b * down_m  # in the meridian plane, away from the axis
+        return _geodetic(
+            self._origin_m[0] + cos_l * outwards_m - sin_l * east_m,
+            self._origin_m[1] + sin_l * outwards_m + cos_l * east_m,
+            self._origin_m[2] + cos_b * north_m - sin_b * down_m,
+        )
+
+    def ned_m(self, point: Geodetic) -> tuple[float, float, float]:
+        """NED metres from the origin to a point."""
+        x_m, y_m, z_m = (a - b for a, b in zip(_ecef_m(point), self._origin_m, strict=True))
+        sin_b, cos_b = self._sin_latitude, self._cos_latitude
+        sin_l, cos_l = self._sin_longitude, self._cos_longitude
+        outwards_m = cos_l * x_m + sin_l * y_m
+        return (
+            -sin_b * outwards_m + cos_b * z_m,
+            -sin_l * x_m + cos_l * y_m,
+            -cos_b * outwards_m - sin_b * z_m,
+        )

@@ -1,0 +1,64 @@
+"""One remote's view of a vehicle: whether it hears texts, and which messages it gets how often."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+DUE_SLACK_S = 1e-6  # a deadline that floating point put a hair behind the tick is due
+
+
+@dataclass(slots=True)
+class Stream:
+    """A message sent at absolute deadlines."""
+
+    period_s: float
+    due_s: float
+
+
+class Link:
+    """State that the vehicle keeps per remote.
+
+    Args:
+        streams_hz: messages sent unasked, and how often.
+        start_s: before this nothing is sent.
+    """
+
+    def __init__(self, streams_hz: Mapping[str, float], start_s: float) -> None:
+        self._default_hz = streams_hz
+        self._streams = {name: Stream(1.0 / hz, start_s) for name, hz in streams_hz.items()}
+        self._next_s = start_s
+        self.texts_open = False
+        self.parameter_index: int | None = None  # next of a running PARAM_REQUEST_LIST
+
+    def set_interval(self, name: str, period_s: float | None, now_s: float) -> None:
+        """Send a message every `period_s` from now on; None stops it."""
+        if period_s is None:
+            self._streams.pop(name, None)
+            return
+        self._streams[name] = Stream(period_s, now_s + period_s)
+        self._next_s = min(self._next_s, now_s + period_s)
+
+    def default_period_s(self, name: str) -> float | None:
+        """The interval that a message has when nobody asked; None: not sent."""
+        hz = self._default_hz.get(name)
+        return None if hz is None else 1.0 / hz
+
+    def period_s(self, name: str) -> float | None:
+        """The present interval of a message; None: not sent."""
+        stream = self._streams.get(name)
+        return None if stream is None else stream.period_s
+
+    def due(self, now_s: float) -> list[str]:
+        """Messages due now. A stream that is late sends once and goes on at its own deadlines."""
+        if now_s < self._next_s - DUE_SLACK_S:
+            return []
+        names = []
+        for name, stream in self._streams.items():
+            if stream.due_s <= now_s + DUE_SLACK_S:
+                names.append(name)
+                missed = math.floor((now_s + DUE_SLACK_S - stream.due_s) / stream.period_s)
+                stream.due_s += (missed + 1) * stream.period_s
+        self._next_s = min((stream.due_s for stream in self._streams.values()), default=math.inf)
+        return names

@@ -1,0 +1,149 @@
+import asyncio
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fg_gcs.errors import LinkError
+from fg_gcs.link.endpoint import Address, Endpoint, Kind, UdpWire, Wire, open_wire, parse_endpoint
+
+
+@pytest.mark.parametrize(
+    ("text", "endpoint"),
+    [
+        ("udpin:127.0.0.1:14550", Endpoint(Kind.UDP_IN, "127.0.0.1", 14550)),
+        ("udpin:0.0.0.0:14550", Endpoint(Kind.UDP_IN, "0.0.0.0", 14550)),
+        ("udp:14550", Endpoint(Kind.UDP_IN, "127.0.0.1", 14550)),
+        ("udp://:14550", Endpoint(Kind.UDP_IN, "127.0.0.1", 14550)),
+        ("udpin://127.0.0.1:14550", Endpoint(Kind.UDP_IN, "127.0.0.1", 14550)),
+        ("udpout:localhost:18570", Endpoint(Kind.UDP_OUT, "localhost", 18570)),
+        (" TCP:127.0.0.1:5760 ", Endpoint(Kind.TCP, "127.0.0.1", 5760)),
+    ],
+)
+def test_accepted_forms(text: str, endpoint: Endpoint) -> None:
+    assert parse_endpoint(text) == endpoint
+    assert parse_endpoint(str(endpoint)) == endpoint
+
+
+@pytest.mark.parametrize(
+    "text", ["", "14550", "udpin", "udpin:", "udpin:host", "serial:/dev/ttyS0", "udp:a:b:1", "tcp:h:0", "tcp:h:65536"]
+)
+def test_other_forms_are_refused_with_the_list_of_good_ones(text: str) -> None:
+    with pytest.raises(LinkError, match="udpin:HOST:PORT.*udpout:HOST:PORT.*tcp:HOST:PORT"):
+        parse_endpoint(text)
+
+
+@given(text=st.text())
+def test_any_text_gives_an_endpoint_or_one_clear_line(text: str) -> None:
+    try:
+        assert 0 < parse_endpoint(text).port < 65536
+    except LinkError as error:
+        assert "\n" not in str(error)
+
+
+class Heard:
+    def __init__(self) -> None:
+        self.data: list[bytes] = []
+        self.addresses: list[Address] = []
+        self.event = asyncio.Event()
+
+    def __call__(self, wire: Wire, address: Address, data: bytes) -> None:
+        self.data.append(data)
+        self.addresses.append(address)
+        self.event.set()
+
+    async def wait(self) -> None:
+        async with asyncio.timeout(5.0):  # seconds of real time: loopback needs microseconds
+            await self.event.wait()
+        self.event.clear()
+
+
+async def free_port() -> int:
+    """A UDP port of the real machine that was free a moment ago."""
+    transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+        asyncio.DatagramProtocol, local_addr=("127.0.0.1", 0)
+    )
+    port: int = transport.get_extra_info("sockname")[1]
+    transport.close()
+    await asyncio.sleep(0)
+    return port
+
+
+def test_real_udp_sockets_talk_both_ways() -> None:
+    async def main() -> None:
+        port, here, there = await free_port(), Heard(), Heard()
+        bound = await open_wire(Endpoint(Kind.UDP_IN, "127.0.0.1", port), here)
+        calling = await open_wire(Endpoint(Kind.UDP_OUT, "127.0.0.1", port), there)
+        assert (bound.remote, calling.remote) == (None, ("127.0.0.1", port))
+        calling.send(b"hello", ("127.0.0.1", port))
+        await here.wait()
+        bound.send(b"welcome", here.addresses[0])
+        await there.wait()
+        assert (here.data, there.data, there.addresses) == ([b"hello"], [b"welcome"], [("127.0.0.1", port)])
+        with pytest.raises(LinkError, match=f"port {port} is in use: another ground station"):
+            await open_wire(Endpoint(Kind.UDP_IN, "127.0.0.1", port), here)
+        bound.close()
+        calling.close()
+        await asyncio.sleep(0)
+
+    asyncio.run(main())
+
+
+def test_calling_where_nobody_listens_is_counted_not_raised() -> None:
+    async def main() -> int:
+        wire = await open_wire(Endpoint(Kind.UDP_OUT, "127.0.0.1", await free_port()), Heard())
+        async with asyncio.timeout(5.0):  # seconds of real time: the refusal comes within microseconds
+            while not wire.errors:
+                wire.send(b"anybody?", ("127.0.0.1", 1))
+                await asyncio.sleep(0)
+        wire.close()
+        await asyncio.sleep(0)
+        return wire.errors
+
+    assert asyncio.run(main()) > 0
+
+
+def test_tcp_talks_both_ways_and_outlives_its_partner() -> None:
+    async def main() -> None:
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            writer.write((await reader.read(100)).upper())
+            writer.close()
+            await writer.wait_closed()
+            closed.set()
+
+        closed, heard = asyncio.Event(), Heard()
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        wire = await open_wire(Endpoint(Kind.TCP, "127.0.0.1", port), heard)
+        wire.send(b"hello", ("127.0.0.1", port))
+        await heard.wait()
+        assert (heard.data, heard.addresses) == ([b"HELLO"], [("127.0.0.1", port)])
+        async with asyncio.timeout(5.0):  # seconds of real time
+            await closed.wait()
+            while not wire.errors:
+                await asyncio.sleep(0)
+        wire.send(b"too late", ("127.0.0.1", port))
+        assert wire.dropped == 1
+        wire.close()
+        server.close()
+        await server.wait_closed()
+        with pytest.raises(LinkError, match=f"tcp:127.0.0.1:{port}"):
+            await open_wire(Endpoint(Kind.TCP, "127.0.0.1", port), heard)
+
+    asyncio.run(main())
+
+
+def test_a_full_way_out_drops_instead_of_growing() -> None:
+    async def main() -> None:
+        wire = await open_wire(Endpoint(Kind.UDP_IN, "127.0.0.1", await free_port()), Heard())
+        assert isinstance(wire, UdpWire)
+        wire.pause_writing()
+        wire.send(b"lost", ("127.0.0.1", 9))
+        assert wire.dropped == 1
+        wire.resume_writing()
+        wire.send(b"sent", ("127.0.0.1", 9))
+        assert wire.dropped == 1
+        wire.close()
+        await asyncio.sleep(0)
+
+    asyncio.run(main())

@@ -1,0 +1,293 @@
+import asyncio
+import random
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+import pytest
+from pymavlink.dialects.v20 import all as dialect
+
+from fg_gcs.errors import LinkError
+from fg_gcs.link.clock import VirtualTimeLoop
+from fg_gcs.link.endpoint import Endpoint, Kind
+from fg_gcs.link.router import Direction, Router
+from fg_gcs.wire import commands
+from fg_gcs.wire.autopilots import ARDUPILOT, PX4, Manners
+from fg_gcs.wire.codec import Codec, Message, Sender
+from fg_gcs.wire.phases import Phase
+from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
+from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
+
+PORT = 14550
+GROUND = Endpoint(Kind.UDP_IN, "127.0.0.1", PORT)
+Result = TypeVar("Result")
+
+
+class Fake(asyncio.DatagramProtocol):
+    """An autopilot's link: says what the test wants and remembers what it hears."""
+
+    def __init__(self, system_id: int, manners: Manners = PX4) -> None:
+        self.sender, self.codec, self.manners = Sender(system_id, 1), Codec(), manners
+        self.heard: list[Message] = []
+        self.transport: asyncio.DatagramTransport
+        self.target: tuple[str, int] | None = None
+
+    @classmethod
+    async def start(cls, system_id: int, manners: Manners = PX4, *, local: int | None = None) -> "Fake":
+        loop = asyncio.get_running_loop()
+        there, here = ("127.0.0.1", PORT), None if local is None else ("127.0.0.1", local)
+        made = await loop.create_datagram_endpoint(
+            lambda: cls(system_id, manners), local_addr=here, remote_addr=there if local is None else None
+        )
+        made[1].transport = made[0]
+        return made[1]
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        self.target = addr
+        self.heard += self.codec.receive(data)
+
+    def say(self, message: Message) -> None:
+        self.transport.sendto(self.sender.pack(message), self.target)
+
+    def beat(self, mode: int = 0) -> None:
+        self.say(dialect.MAVLink_heartbeat_message(2, self.manners.autopilot, 1, mode, 3, 3))
+
+    def names(self) -> list[str]:
+        return [message.get_type() for message in self.heard]
+
+
+def virtually(main: Callable[[], Awaitable[Result]]) -> Result:
+    async def run() -> Result:
+        return await main()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        return runner.run(run())
+
+
+async def settle(seconds: float = 0.01) -> None:
+    await asyncio.sleep(seconds)  # virtual seconds
+
+
+def test_each_message_leaves_once_to_its_own_vehicle() -> None:
+    async def main() -> None:
+        router = await Router.open([GROUND])
+        fakes = [await Fake.start(system_id) for system_id in (1, 2, 3)]
+        for fake in fakes:
+            fake.beat()
+        await settle()
+        assert sorted(router.vehicles) == [1, 2, 3]
+        for system_id in (1, 2, 3):
+            for _ in range(system_id):
+                setpoint = Setpoint((float(system_id), 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
+                router.send(system_id, pack_setpoint(setpoint, system_id, router.sender(system_id)))
+        router.send_message(2, commands.heartbeat())
+        await settle()
+        for system_id, fake in zip((1, 2, 3), fakes, strict=True):
+            setpoints = [message for message in fake.heard if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
+            assert [(m.target_system, m.x) for m in setpoints] == [(system_id, float(system_id))] * system_id
+            assert [m.get_seq() for m in fake.heard] == list(range(len(fake.heard)))
+        assert [len(fake.heard) for fake in fakes] == [1, 3, 3]
+        assert router.counters.frames_out == 7
+        router.close()
+
+    virtually(main)
+
+
+def test_a_vehicle_that_was_never_heard_costs_a_count() -> None:
+    async def main() -> None:
+        router = await Router.open([GROUND])
+        router.send(9, b"data")
+        router.send_message(9, commands.heartbeat())
+        assert (router.counters.unroutable, router.counters.frames_out) == (2, 0)
+        with pytest.raises(KeyError):
+            router.sender(9)
+        router.close()
+
+    virtually(main)
+
+
+def test_only_autopilots_become_vehicles() -> None:
+    async def main() -> None:
+        router = await Router.open([GROUND])
+        ground, fake = await Fake.start(255), await Fake.start(1)
+        ground.say(commands.heartbeat())
+        second = await Fake.start(254)
+        second.say(commands.heartbeat())
+        fake.say(
+            dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)
+        )  # PX4 sends telemetry before its first heartbeat
+        await settle()
+        assert router.vehicles == {}
+        fake.sender.component_id = 154
+        camera = Sender(1, 154)
+        fake.transport.sendto(camera.pack(dialect.MAVLink_heartbeat_message(30, 12, 0, 0, 3, 3)))
+        await settle()
+        assert router.vehicles == {}
+        assert router.counters.frames_in == 4
+        router.close()
+
+    virtually(main)
+
+
+def test_manners_phase_and_messages_reach_who_asked() -> None:
+    async def main() -> None:
+        seen: list[tuple[int, str, float]] = []
+        taps: list[tuple[Direction, bytes, float]] = []
+
+        def on_message(vehicle: Vehicle, message: Message, now_s: float) -> None:
+            seen.append((vehicle.system_id, message.get_type(), now_s))
+
+        def tap(direction: Direction, raw: bytes, now_s: float) -> None:
+            taps.append((direction, raw, now_s))
+
+        router = await Router.open([GROUND], on_message=on_message, tap=tap)
+        copter, plane = await Fake.start(5, ARDUPILOT), await Fake.start(6, PX4)
+        copter.beat(ARDUPILOT.streaming_mode)
+        plane.beat()
+        unknown = bytes([0xFD, 1, 0, 0, 0, 6, 1, 154, 1, 0, 7, 0, 0])
+        plane.transport.sendto(unknown)
+        await settle()
+        router.heartbeat()
+        assert [vehicle.manners for vehicle in router.vehicles.values()] == [ARDUPILOT, PX4]
+        assert router.vehicles[5].mode_name == "GUIDED"
+        assert seen == [(5, "HEARTBEAT", 0.001), (6, "HEARTBEAT", 0.001)]
+        assert [direction for direction, _, _ in taps] == [Direction.IN] * 3 + [Direction.OUT] * 2
+        assert taps[2][1] == unknown
+        assert router.counters.unknown_messages == 1
+        router.close()
+
+    virtually(main)
+
+
+def test_heartbeats_go_once_to_each_vehicle_and_wake_those_we_call() -> None:
+    async def main() -> None:
+        sleeping = await Fake.start(7, local=18570)
+        router = await Router.open([GROUND, Endpoint(Kind.UDP_OUT, "127.0.0.1", 18570)])
+        waking = [await Fake.start(system_id) for system_id in (1, 2)]
+        for fake in waking:
+            fake.beat()
+        stranger = await Fake.start(3)
+        stranger.transport.sendto(b"no MAVLink at all")
+        await settle()
+        async with asyncio.TaskGroup() as tasks:
+            beating = tasks.create_task(router.keep_alive())
+            await settle(2.5)
+            beating.cancel()
+        assert [fake.names() for fake in (*waking, sleeping)] == [["HEARTBEAT"] * 3] * 3
+        assert stranger.heard == []
+        sleeping.beat()
+        await settle()
+        assert sorted(router.vehicles) == [1, 2, 7]
+        router.heartbeat()
+        await settle()
+        assert len(sleeping.heard) == 4
+        router.close()
+
+    virtually(main)
+
+
+def test_silence_is_noticed_by_the_task() -> None:
+    async def main() -> None:
+        router = await Router.open([GROUND])
+        fake = await Fake.start(1)
+        fake.beat()
+        async with asyncio.TaskGroup() as tasks:
+            beating = tasks.create_task(router.keep_alive())
+            await settle(LOST_AFTER_S + 1.5)
+            assert router.vehicles[1].phase is Phase.LOST
+            beating.cancel()
+        router.close()
+
+    virtually(main)
+
+
+def test_two_vehicles_with_one_system_id_do_not_mix() -> None:
+    async def main() -> None:
+        router = await Router.open([GROUND])
+        first, second = await Fake.start(1, PX4), await Fake.start(1, PX4)
+        first.beat(PX4.hold_mode)
+        await settle()
+        for _ in range(3):
+            second.beat(PX4.land_mode)
+        await settle()
+        assert router.vehicles[1].mode == PX4.hold_mode
+        router.send_message(1, commands.heartbeat())
+        await settle()
+        assert (len(first.heard), len(second.heard)) == (1, 0)
+        assert router.counters.clashes == 3
+        assert len(router.notices) == 1
+        assert "system id 1" in router.notices[0]
+        router.close()
+
+    virtually(main)
+
+
+def test_a_vehicle_that_restarts_on_another_port_is_found_again() -> None:
+    async def main() -> None:
+        router = await Router.open([GROUND])
+        before, after = await Fake.start(1), await Fake.start(1)
+        before.beat()
+        await settle(LOST_AFTER_S + 0.1)
+        after.say(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
+        await settle()
+        assert router.counters.clashes == 1  # only a heartbeat claims a system id
+        after.beat()
+        await settle()
+        router.send_message(1, commands.heartbeat())
+        await settle()
+        assert (len(before.heard), len(after.heard)) == (0, 1)
+        router.close()
+
+    virtually(main)
+
+
+def test_a_taken_port_is_one_clear_line_and_leaves_nothing_open() -> None:
+    async def main() -> None:
+        router = await Router.open([GROUND])
+        other = Endpoint(Kind.UDP_IN, "127.0.0.1", PORT + 1)
+        with pytest.raises(LinkError, match="port 14550 is in use: another ground station"):
+            await Router.open([other, GROUND])
+        (await Router.open([other])).close()
+        router.close()
+
+    virtually(main)
+
+
+def test_hostile_datagrams_neither_raise_nor_disturb() -> None:
+    async def main() -> None:
+        draw = random.Random(7)
+        router = await Router.open([GROUND])
+        honest, hostile = await Fake.start(1), await Fake.start(2)
+        honest.beat(PX4.hold_mode)
+        frame = bytearray(honest.sender.pack(commands.heartbeat()))
+        for _ in range(300):
+            hostile.transport.sendto(draw.randbytes(draw.randrange(300)))
+            damaged = bytearray(frame)
+            damaged[draw.randrange(len(frame))] ^= 1 << draw.randrange(8)
+            hostile.transport.sendto(bytes(damaged))
+        await settle()
+        honest.beat(PX4.land_mode)
+        await settle()
+        assert list(router.vehicles) == [1]
+        assert router.vehicles[1].mode == PX4.land_mode
+        assert router.counters.bad_bytes > 10_000
+        router.close()
+
+    virtually(main)
+
+
+def test_a_flood_of_made_up_senders_is_bounded() -> None:
+    async def main() -> None:
+        router = await Router.open([GROUND])
+        honest = await Fake.start(1)
+        honest.beat()
+        await settle()
+        for _ in range(600):
+            (await Fake.start(2)).beat()
+        await settle()
+        honest.beat(PX4.land_mode)
+        await settle()
+        assert router.vehicles[1].mode == PX4.land_mode
+        assert router.counters.frames_in <= 2 + 511
+        router.close()
+
+    virtually(main)

@@ -1,0 +1,287 @@
+import math
+from collections.abc import Callable
+
+import pytest
+from pymavlink.dialects.v20 import all as dialect
+
+from fg_gcs.errors import VehicleError
+from fg_gcs.wire import commands
+from fg_gcs.wire.autopilots import ARDUPILOT, PX4, Manners
+from fg_gcs.wire.codec import Codec, Message, Sender
+from fg_gcs.wire.commands import Dialogue, Request, State
+from fg_gcs.wire.params import Encoding, encode
+from fg_gcs.wire.vehicle import Vehicle
+
+STEP_S = 0.02
+Answer = Callable[[Message, float], list[tuple[float, Message]]]
+
+
+def ack(command: int, result: int) -> Message:
+    message: Message = dialect.MAVLink_command_ack_message(command, result, 0, 0, 255, 190)
+    return message
+
+
+def beat(manners: Manners, mode: int, *, armed: bool = False) -> Message:
+    message: Message = dialect.MAVLink_heartbeat_message(2, manners.autopilot, 0x80 if armed else 0, mode, 3, 3)
+    return message
+
+
+def silent(message: Message, now_s: float) -> list[tuple[float, Message]]:
+    return []
+
+
+def run(vehicle: Vehicle, request: Request, answer: Answer) -> tuple[Dialogue, list[Message], float]:
+    """Run a dialogue against ``answer``, which gives (delay, message) for each message it gets."""
+    dialogue, sent, now_s = Dialogue(vehicle, request), list[Message](), 0.0
+    ours, theirs, our_codec, their_codec = Sender(), Sender(vehicle.system_id, 1), Codec(), Codec()
+    due: list[tuple[float, Message]] = []
+    while dialogue.state is State.PENDING:
+        out = dialogue.step(now_s)
+        if out is not None:
+            (received,) = their_codec.receive(ours.pack(out))
+            sent.append(received)
+            due += [(now_s + delay, message) for delay, message in answer(received, now_s)]
+        now_s += STEP_S
+        for message in [message for at_s, message in due if now_s - STEP_S < at_s <= now_s]:
+            for heard in our_codec.receive(theirs.pack(message)):
+                vehicle.handle(heard, now_s)
+        assert now_s < 1000.0
+    return dialogue, sent, now_s
+
+
+def px4() -> Vehicle:
+    return Vehicle(3, PX4, 0.0)
+
+
+def ardupilot() -> Vehicle:
+    return Vehicle(4, ARDUPILOT, 0.0)
+
+
+def test_arming_is_done_when_the_heartbeat_says_so_not_when_it_is_acknowledged() -> None:
+    def answer(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        return [(0.01, ack(400, 0)), (0.9, beat(ARDUPILOT, 4, armed=True))]
+
+    dialogue, sent, ended_s = run(ardupilot(), commands.arm(), answer)
+    assert dialogue.state is State.DONE
+    assert 0.9 < ended_s < 1.0
+    assert [(m.command, m.param1, m.target_system, m.target_component) for m in sent] == [(400, 1.0, 4, 1)]
+
+
+@pytest.mark.parametrize("result", [1, 2, 3, 4])
+def test_a_refusal_brings_its_reason_along(result: int) -> None:
+    def answer(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        text = dialect.MAVLink_statustext_message(2, b"Arm: Need Position Estimate", 0, 0)
+        chatter = dialect.MAVLink_statustext_message(6, b"all is well", 0, 0)
+        return [(0.01, ack(400, result)), (0.2, text), (0.21, text), (0.22, chatter)]
+
+    dialogue, _, ended_s = run(ardupilot(), commands.arm(), answer)
+    assert dialogue.state is State.REFUSED
+    assert dialogue.reason.startswith("vehicle 4: arm: ")
+    assert dialogue.reason.endswith("(Arm: Need Position Estimate)")
+    assert ended_s < 0.5
+
+
+def test_px4_accepts_blindly_before_it_tells_the_truth() -> None:
+    def refuses(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        return [(0.004, ack(176, 0)), (0.03, ack(176, 1))]
+
+    def obeys(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        seen = dialect.MAVLink_current_mode_message(0, PX4.streaming_mode, PX4.streaming_mode)
+        return [(0.004, ack(176, 0)), (0.03, ack(176, 0)), (0.05, seen)]
+
+    vehicle = px4()
+    dialogue, _, _ = run(vehicle, commands.set_mode(PX4.streaming_mode), refuses)
+    assert (dialogue.state, vehicle.mode) == (State.REFUSED, None)
+    assert "temporarily rejected" in dialogue.reason
+    vehicle = px4()
+    dialogue, sent, _ = run(vehicle, commands.set_mode(PX4.streaming_mode), obeys)
+    assert (dialogue.state, vehicle.mode_name) == (State.DONE, "OFFBOARD")
+    assert [(m.command, m.param1, m.param2, m.param3) for m in sent] == [(176, 1.0, 6.0, 0.0)]
+    assert vehicle.commanded_mode == PX4.streaming_mode
+
+
+def test_a_refusal_that_telemetry_contradicts_is_no_refusal() -> None:
+    def answer(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        return [(0.01, ack(176, 1)), (0.2, beat(PX4, PX4.hold_mode))]
+
+    assert run(px4(), commands.set_mode(PX4.hold_mode), answer)[0].state is State.DONE
+
+
+def test_modes_are_spelt_as_each_autopilot_wants() -> None:
+    _, sent, _ = run(ardupilot(), commands.set_mode(ARDUPILOT.streaming_mode), silent)
+    assert [(m.param1, m.param2, m.param3) for m in sent[:1]] == [(1.0, 4.0, 0.0)]
+    _, sent, _ = run(px4(), commands.set_mode(PX4.hold_mode), silent)
+    assert [(m.param1, m.param2, m.param3) for m in sent[:1]] == [(1.0, 4.0, 3.0)]
+
+
+def test_an_old_acknowledgement_says_nothing_about_a_new_request() -> None:
+    vehicle = ardupilot()
+    run(vehicle, commands.arm(), lambda message, now_s: [(0.01, ack(400, 4))])
+    dialogue = Dialogue(vehicle, commands.arm())
+    assert dialogue.step(10.0) is not None
+    dialogue.step(10.5)
+    dialogue.step(11.5)
+    assert dialogue.state is State.PENDING
+
+
+def test_silence_is_asked_again_until_the_deadline() -> None:
+    dialogue, sent, ended_s = run(px4(), commands.arm(), silent)
+    assert dialogue.state is State.TIMED_OUT
+    assert dialogue.reason == "vehicle 3: arm: no success within 5 s"
+    assert len(sent) == 5
+    assert ended_s == pytest.approx(5.0, abs=2 * STEP_S)
+
+
+def test_the_first_step_always_sends_since_telemetry_may_be_old() -> None:
+    vehicle = px4()
+    vehicle.mode = PX4.land_mode
+    dialogue, sent, _ = run(vehicle, commands.land(), silent)
+    assert (dialogue.state, len(sent)) == (State.DONE, 1)
+
+
+def test_landing_goes_by_command_or_by_mode() -> None:
+    vehicle = px4()
+    vehicle.armed = True
+    _, sent, _ = run(vehicle, commands.land(), lambda message, now_s: [(0.1, beat(PX4, PX4.land_mode, armed=True))])
+    assert [m.command for m in sent] == [dialect.MAV_CMD_NAV_LAND]
+    assert vehicle.commanded_mode == PX4.land_mode
+    vehicle = ardupilot()
+    vehicle.armed = True
+    _, sent, _ = run(vehicle, commands.land(), lambda message, now_s: [(0.1, beat(ARDUPILOT, 9, armed=True))])
+    assert [(m.command, m.param2) for m in sent] == [(dialect.MAV_CMD_DO_SET_MODE, 9.0)]
+
+
+def position(z_m: float) -> Message:
+    message: Message = dialect.MAVLink_local_position_ned_message(0, 0, 0, z_m, 0, 0, 0)
+    return message
+
+
+def test_take_off_is_done_in_the_air_and_asked_only_once() -> None:
+    def answer(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        climb = [(1.5 + 0.5 * k, position(-1.0 * k)) for k in range(11)]
+        return [(0.006, ack(22, 0)), *climb]
+
+    vehicle = ardupilot()
+    vehicle.ground_ned_m, vehicle.armed = (0.0, 0.0, 0.0), True
+    dialogue, sent, ended_s = run(vehicle, commands.take_off(10.0), answer)
+    assert dialogue.state is State.DONE
+    assert [(m.command, m.param7) for m in sent] == [(22, 10.0)]
+    assert ended_s == pytest.approx(6.0, abs=2 * STEP_S)  # 9 of 10 m
+
+
+def test_take_off_ends_when_the_vehicle_disarms() -> None:
+    def answer(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        return [(0.006, ack(22, 0)), (9.9, beat(ARDUPILOT, 4, armed=False))]
+
+    vehicle = ardupilot()
+    vehicle.armed = True
+    dialogue, _, _ = run(vehicle, commands.take_off(10.0), answer)
+    assert (dialogue.state, "disarmed" in dialogue.reason) == (State.REFUSED, True)
+
+
+def test_take_off_by_command_is_not_for_px4_nor_to_nowhere() -> None:
+    with pytest.raises(VehicleError, match="PX4 takes off by setpoints"):
+        Dialogue(px4(), commands.take_off(5.0)).step(0.0)
+    for height_m in (math.nan, 0.0, -1.0, math.inf):
+        with pytest.raises(VehicleError, match="take-off height"):
+            commands.take_off(height_m)
+
+
+@pytest.mark.parametrize(("rate_hz", "interval_us"), [(50.0, 20000.0), (10.0, 100000.0), (-1.0, -1.0), (0.5, 2e6)])
+def test_stream_rates_are_intervals_on_the_wire(rate_hz: float, interval_us: float) -> None:
+    request = commands.set_message_interval(32, rate_hz)
+    dialogue, sent, _ = run(px4(), request, lambda message, now_s: [(0.01, ack(511, 0))])
+    assert (dialogue.state, sent[0].param1, sent[0].param2) == (State.DONE, 32.0, interval_us)
+
+
+def test_a_refused_stream_matters_only_if_it_is_needed() -> None:
+    def refuses(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        return [(0.01, ack(511, 2))]
+
+    dialogue, _, _ = run(px4(), commands.set_message_interval(436, 5.0), refuses)
+    assert dialogue.state is State.DONE
+    assert "denied" in dialogue.reason
+    dialogue, _, _ = run(px4(), commands.set_message_interval(32, 50.0, optional=False), refuses)
+    assert dialogue.state is State.REFUSED
+
+
+def test_a_requested_message_is_done_when_it_came() -> None:
+    def answer(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        origin = dialect.MAVLink_gps_global_origin_message(473977428, 85455967, 489052)
+        return [(0.005, ack(512, 0)), (0.3, origin)]
+
+    vehicle = px4()
+    dialogue, sent, ended_s = run(vehicle, commands.request_origin(), answer)
+    assert (dialogue.state, sent[0].param1) == (State.DONE, 49.0)
+    assert ended_s > 0.3
+    assert vehicle.origin is not None
+
+
+class Store:
+    """Parameters of one autopilot, as it keeps and tells them."""
+
+    def __init__(self, manners: Manners, name: str, value: float, param_type: int) -> None:
+        self.manners, self.name, self.value, self.param_type = manners, name, value, param_type
+
+    def __call__(self, message: Message, now_s: float) -> list[tuple[float, Message]]:
+        if message.param_id != self.name:
+            error = dialect.MAVLink_param_error_message(255, 190, message.param_id.encode(), -1, 1)
+            return [(0.01, error)] if self.manners is PX4 else []
+        if message.get_type() == "PARAM_SET":
+            assert message.param_type == self.param_type
+            self.value = message.param_value
+            return [(0.01, self.told(self.value))]
+        return [(0.07, self.told(encode(self.name, self.value, self.param_type, self.manners.encoding)))]
+
+    def told(self, carried: float) -> Message:
+        message: Message = dialect.MAVLink_param_value_message(self.name.encode(), carried, self.param_type, 1, 65535)
+        return message
+
+
+def test_an_unknown_type_is_read_before_it_is_written() -> None:
+    int32 = dialect.MAV_PARAM_TYPE_INT32
+    store, vehicle = Store(PX4, "COM_OBL_RC_ACT", 0.0, int32), px4()
+    dialogue, sent, _ = run(vehicle, commands.write_parameter("COM_OBL_RC_ACT", 4.0), store)
+    assert dialogue.state is State.DONE
+    assert [m.get_type() for m in sent] == ["PARAM_REQUEST_READ", "PARAM_SET"]
+    assert vehicle.params == {"COM_OBL_RC_ACT": 4.0}
+    assert store.value == encode("COM_OBL_RC_ACT", 4.0, int32, Encoding.BYTEWISE)
+
+
+def test_reading_a_parameter() -> None:
+    store, vehicle = Store(ARDUPILOT, "WPNAV_SPEED", 1000.0, 9), ardupilot()
+    dialogue, sent, ended_s = run(vehicle, commands.read_parameter("WPNAV_SPEED"), store)
+    assert (dialogue.state, vehicle.params["WPNAV_SPEED"], len(sent)) == (State.DONE, 1000.0, 1)
+    assert ended_s < 0.2
+
+
+def test_an_unknown_parameter_is_refused_by_px4_and_met_with_silence_by_ardupilot() -> None:
+    dialogue, _, _ = run(px4(), commands.read_parameter("NONE"), Store(PX4, "X", 1.0, 9))
+    assert (dialogue.state, "parameter error 1" in dialogue.reason) == (State.REFUSED, True)
+    dialogue, _, ended_s = run(ardupilot(), commands.read_parameter("NONE"), Store(ARDUPILOT, "X", 1.0, 9))
+    assert dialogue.state is State.TIMED_OUT
+    assert ended_s == pytest.approx(3.0, abs=2 * STEP_S)
+    dialogue, _, _ = run(px4(), commands.read_parameter("NONE", optional=True), Store(PX4, "X", 1.0, 9))
+    assert dialogue.state is State.DONE
+
+
+def test_a_written_value_that_comes_back_different_is_not_done() -> None:
+    def clips(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        return [(0.01, dialect.MAVLink_param_value_message(b"RTL_ALT", 127.0, 9, 1, 65535))]
+
+    dialogue, _, _ = run(ardupilot(), commands.write_parameter("RTL_ALT", 300.0), clips)
+    assert dialogue.state is State.TIMED_OUT
+
+
+def test_forced_disarming_carries_the_magic_number() -> None:
+    for force, magic in ((False, 0.0), (True, 21196.0)):
+        vehicle = px4()
+        vehicle.armed = True
+        _, sent, _ = run(vehicle, commands.disarm(force=force), silent)
+        assert (sent[0].command, sent[0].param1, sent[0].param2) == (400, 0.0, magic)
+
+
+def test_our_heartbeat_is_that_of_a_ground_station() -> None:
+    (message,) = Codec().receive(Sender().pack(commands.heartbeat()))
+    assert (message.type, message.autopilot) == (dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID)
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (255, 190)
