@@ -94,6 +94,9 @@ class Swarm:
         self._correction_m_s2 = np.zeros((vehicles, 3))
         self._integral_m_s2 = np.zeros((vehicles, 3))
         self._random = random
+        self._windy = wind_m_s > 0.0
+        self._body_m_s2 = np.full(vehicles, physics.body.acceleration_m_s2)  # (V,)
+        self._integral_bound_m_s2 = np.full(vehicles, physics.tracking.integral_bound_m_s2)  # (V,)
         heading = random.uniform(0.0, 2.0 * math.pi)
         self._wind_m_s = wind_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])  # (3,)
         self._gust_m_s = np.zeros((vehicles, 3))
@@ -141,22 +144,28 @@ class Swarm:
         wanted_m_s = velocity_m_s + self._approach(error_m)
         wanted_m_s, feed_m_s2 = self._speed_limited(wanted_m_s, feed_m_s2)
         controlled = np.maximum(c.controlled, over[:, None])
-        close = np.abs(error_m) < tracking.integral_reach_m
-        self._integral_m_s2 += error_m * (tracking.integral_gain_per_s2 * self.physics.time.step_s) * close
-        self._integral_m_s2 *= c.flying[:, None] * c.position_used
-        np.clip(
-            self._integral_m_s2, -tracking.integral_bound_m_s2, tracking.integral_bound_m_s2, out=self._integral_m_s2
-        )
-        raw_m_s2 = tracking.velocity_gain_per_s * (wanted_m_s - self.velocity_m_s) * controlled + self._integral_m_s2
+        miss_m_s = (wanted_m_s - self.velocity_m_s) * controlled
+        raw_m_s2 = _shortened(tracking.velocity_gain_per_s * miss_m_s, c.correction_m_s2)
         share = self.physics.time.step_s / tracking.smoothing_s
-        self._correction_m_s2 += (_shortened(raw_m_s2, c.correction_m_s2) - self._correction_m_s2) * share
+        self._correction_m_s2 += (raw_m_s2 - self._correction_m_s2) * share
         self._correction_m_s2 *= c.flying[:, None]
         # Corrections may turn a fed-forward acceleration but hardly lengthen it: a plan at its limit stays there.
         longest_m_s2 = np.maximum(
             (1.0 + tracking.headroom) * np.sqrt(np.einsum("vi,vi->v", feed_m_s2, feed_m_s2)), c.correction_m_s2
         )
-        longest_m_s2 = np.minimum(longest_m_s2, self.physics.body.acceleration_m_s2)
-        return _shortened(feed_m_s2 + self._correction_m_s2, longest_m_s2)
+        asked_m_s2 = _shortened(feed_m_s2 + self._correction_m_s2, longest_m_s2)
+        if self._windy:
+            asked_m_s2 += self._against_wind(miss_m_s)
+        return _shortened(asked_m_s2, self._body_m_s2)
+
+    def _against_wind(self, miss_m_s: Array) -> Array:
+        """(V, 3) integral of the velocity error: it only has to answer wind, so in still air it is left out."""
+        tracking, c = self.physics.tracking, self.commands
+        asked_m_s2 = tracking.velocity_gain_per_s * np.abs(miss_m_s)
+        near = asked_m_s2 < c.correction_m_s2[:, None]  # a saturated loop is on its way, nothing to learn from
+        self._integral_m_s2 += miss_m_s * near * (tracking.integral_gain_per_s2 * self.physics.time.step_s)
+        self._integral_m_s2 *= c.flying[:, None]
+        return _shortened(self._integral_m_s2, self._integral_bound_m_s2)
 
     def _approach(self, error_m: Array) -> Array:
         """(V, 3) velocity towards the target: proportional when near, braking at constant deceleration when far."""
@@ -177,8 +186,8 @@ class Swarm:
         c = self.commands
         horizontal_m_s = np.hypot(wanted_m_s[:, 0], wanted_m_s[:, 1])
         allowed_m_s = c.speed_m_s + c.speed_headroom_m_s
-        vertical_m_s = np.clip(
-            wanted_m_s[:, 2], -(c.climb_m_s + c.speed_headroom_m_s), c.descent_m_s + c.speed_headroom_m_s
+        vertical_m_s = np.minimum(
+            np.maximum(wanted_m_s[:, 2], -(c.climb_m_s + c.speed_headroom_m_s)), c.descent_m_s + c.speed_headroom_m_s
         )
         too_fast = horizontal_m_s > allowed_m_s
         too_steep = vertical_m_s != wanted_m_s[:, 2]
@@ -198,7 +207,8 @@ class Swarm:
         ground, flying = self.physics.ground, self.commands.flying
         z_m, fall_m_s = self.position_m[:, 2], self.velocity_m_s[:, 2]
         contact = self.in_contact
-        u = u + self._blown() * (flying & ~contact)[:, None]
+        if self._windy:
+            u = u + self._blown() * (flying & ~contact)[:, None]
         falling_m_s2 = np.where(flying, u[:, 2], self.physics.body.gravity_m_s2)
         touching = (z_m >= 0.0) | (contact & ~flying)
         support_m_s2 = -ground.stiffness_per_s2 * z_m - ground.damping_per_s * fall_m_s
@@ -214,8 +224,6 @@ class Swarm:
         """(V, 3) acceleration by mean wind and gusts (first-order Gauss-Markov)."""
         wind, dt_s = self.physics.wind, self.physics.time.step_s
         mean_m_s = float(np.hypot(self._wind_m_s[0], self._wind_m_s[1]))
-        if mean_m_s == 0.0:
-            return self._gust_m_s
         forget = dt_s / wind.gust_time_s
         noise = self._random.standard_normal(self._gust_m_s.shape)
         self._gust_m_s += -forget * self._gust_m_s + wind.gust_share * mean_m_s * math.sqrt(2.0 * forget) * noise
@@ -236,7 +244,7 @@ class Swarm:
         c, body = self.commands, self.physics.body
         miss_rad = np.remainder(c.yaw_rad - self.yaw_rad + math.pi, 2.0 * math.pi) - math.pi
         rate_rad_s = np.where(c.yaw_used, body.yaw_gain_per_s * miss_rad, c.yaw_rate_rad_s) * c.flying
-        self.yaw_rate_rad_s = np.clip(rate_rad_s, -body.yaw_rate_rad_s, body.yaw_rate_rad_s)
+        self.yaw_rate_rad_s = np.minimum(np.maximum(rate_rad_s, -body.yaw_rate_rad_s), body.yaw_rate_rad_s)
         turned_rad = self.yaw_rad + self.yaw_rate_rad_s * dt_s
         self.yaw_rad = np.remainder(turned_rad + math.pi, 2.0 * math.pi) - math.pi
 

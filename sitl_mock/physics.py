@@ -34,8 +34,7 @@ class Tracking:
 
     position_gain_per_s: float  # [1/s]
     velocity_gain_per_s: float  # [1/s]
-    integral_gain_per_s2: float  # [1/s^3 . s]
-    integral_reach_m: float  # [m]
+    integral_gain_per_s2: float  # [1/s^2]
     integral_bound_m_s2: float  # [m/s^2]
     smoothing_s: float  # [s]
     headroom: float  # [1]

@@ -97,6 +97,7 @@ async def _fly(mission: Mission, options: Options, folder: Path) -> Result:
                 await in_loop.enter_async_context(simulator_in_loop(mission, autopilot, port))
             show = asyncio.create_task(progress.show(director))
             _on_signals(director)
+            loop.set_exception_handler(lambda _, context: director.fail(context))
             try:
                 result = await director.fly()
             except FgError as error:

@@ -83,7 +83,7 @@ class Progress:
         )
         grid = Table.grid(padding=(0, 2))
         for name, value in _closing_lines(summary, self._mission):
-            grid.add_row(Text(name, "dim"), value)
+            grid.add_row(Text(name, "dim"), Text(value, overflow="fold"))
         self._console.print(grid)
 
     def _picture(self, director: Director, now_s: float) -> Group:

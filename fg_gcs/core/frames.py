@@ -28,20 +28,36 @@ class Geodetic(NamedTuple):
     altitude_m: float
 
 
+Vector = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class LocalFrame:
-    """A vehicle's own NED frame, seen from the mission origin."""
+    """A vehicle's own NED frame, seen from the mission origin.
 
-    origin_enu_m: tuple[float, float, float]  # where the vehicle reads (0, 0, 0)
+    Its methods take one vector as plain floats: a position report has no use for arrays, and thousands come
+    in a second. :func:`swap_ned_enu` is the same for arrays.
+    """
 
-    def enu_from_ned(self, position_ned_m: Array) -> Array:
-        """Return mission positions of the vehicle's local ones, shape (..., 3) [m]."""
-        enu: Array = swap_ned_enu(position_ned_m) + np.array(self.origin_enu_m)
-        return enu
+    origin_enu_m: Vector  # where the vehicle reads (0, 0, 0)
 
-    def ned_from_enu(self, position_enu_m: Array) -> Array:
-        """Return the vehicle's local positions of mission ones, shape (..., 3) [m]."""
-        return swap_ned_enu(position_enu_m - np.array(self.origin_enu_m))
+    def enu_from_ned(self, position_ned_m: Vector) -> Vector:
+        """Return the mission position of a local one [m]."""
+        north, east, down = position_ned_m
+        x, y, z = self.origin_enu_m
+        return (x + east, y + north, z - down)
+
+    def ned_from_enu(self, position_enu_m: Vector) -> Vector:
+        """Return the local position of a mission one [m]."""
+        east, north, up = position_enu_m
+        x, y, z = self.origin_enu_m
+        return (north - y, east - x, z - up)
+
+
+def rotate_ned_enu(vector: Vector) -> Vector:
+    """Turn the components of a direction, such as a velocity, from NED to ENU or back."""
+    first, second, third = vector
+    return (second, first, -third)
 
 
 def swap_ned_enu(vector: Array) -> Array:

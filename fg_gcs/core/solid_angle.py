@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 FULL_SPHERE = 4.0 * np.pi
 HALF_SPHERE = 2.0 * np.pi
-IN_PLANE = 1e-12  # a source nearer to the plane counts as in front, so that one inside a face has 2 pi, not 0 / 0
+IN_PLANE = 1e-9  # a source this flat (radians) over the plane counts as in front: one in the face has 2 pi, not 0 / 0
 
 
 class EdgeDerivatives(NamedTuple):
@@ -48,11 +48,11 @@ def flux(vertices: Array, source: Array) -> Array:
     rays = vertices - source
     first, second, third = rays[..., :1, :], rays[..., 1:-1, :], rays[..., 2:, :]
     d1, d2, d3 = (np.linalg.norm(ray, axis=-1) for ray in (first, second, third))
-    volume = d1 * d2 * d3
     triple = np.einsum("...k,...k->...", np.cross(second, first), third)  # positive in front of the face
-    triple = np.where(np.abs(triple) < IN_PLANE * volume, IN_PLANE * volume, triple)
+    least = IN_PLANE * np.linalg.norm(np.cross(second - first, third - first), axis=-1) * np.maximum(d1, d2)
+    triple = np.where(np.abs(triple) < least, least, triple)
     denominator = (
-        volume
+        d1 * d2 * d3
         + np.einsum("...k,...k->...", first, second) * d3
         + np.einsum("...k,...k->...", first, third) * d2
         + np.einsum("...k,...k->...", second, third) * d1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fg_gcs.errors import VehicleError
 from fg_gcs.flight.fleet import Fleet, names
@@ -66,10 +66,21 @@ class Director:
         self._mission = mission
         self._setup = setup
         self._interrupts: asyncio.Queue[str] = asyncio.Queue()
+        self._failure: BaseException | None = None
 
     def interrupt(self, reason: str) -> None:
         """Stop the flight: the first time by flying home, a second time by landing on the spot."""
         self._interrupts.put_nowait(reason)
+
+    def fail(self, context: dict[str, Any]) -> None:
+        """Take an exception that came up in a callback of the event loop: a fault of ours, so the flight ends.
+
+        It is raised by :meth:`fly` once everybody is down.
+        """
+        error = context.get("exception") or RuntimeError(context["message"])
+        if self._failure is None:
+            self._failure = error
+            self.interrupt(f"internal error: {error!r}")
 
     async def fly(self) -> Result:
         """Fly the mission; returns with everybody that still obeys on the ground.
@@ -92,6 +103,8 @@ class Director:
             self.result.stages = self.journal.stages
             self.result.counters = router.counters
             router.close()
+        if self._failure is not None:
+            raise self._failure
         return self.result
 
     async def _run(self, router: Router, background: list[asyncio.Task[None]]) -> None:

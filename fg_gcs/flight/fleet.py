@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic_from_enu, swap_ned_enu
+from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic_from_enu, rotate_ned_enu, swap_ned_enu
 from fg_gcs.errors import VehicleError
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
@@ -29,6 +29,7 @@ class Fleet:
         self.vehicles = tuple(vehicles)
         self.row_of = {vehicle.system_id: row for row, vehicle in enumerate(self.vehicles)}
         self.frames: tuple[LocalFrame, ...] = ()
+        self._origins_enu_m = np.empty((0, 3))
 
     def learn_frames(self, origin: Geodetic | None, first_pad_enu_m: Array) -> None:
         """Join every vehicle's own frame to the mission's, while all stand on the ground.
@@ -51,31 +52,30 @@ class Fleet:
             own_origin, ground = places[0]
             away = np.append(np.asarray(first_pad_enu_m), 0.0) - swap_ned_enu(np.array([*ground[:2], 0.0]))
             origin = geodetic_from_enu(-away, own_origin)
-        self.frames = tuple(
-            LocalFrame((*enu_from_geodetic(own_origin, origin)[:2].tolist(), ground[2]))
-            for own_origin, ground in places
-        )
+        for own_origin, ground in places:
+            east, north, _ = enu_from_geodetic(own_origin, origin).tolist()
+            self.frames += (LocalFrame((east, north, ground[2])),)
+        self._origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
 
     def positions_enu_m(self) -> Array:
         """Return where the vehicles are, shape (V, 3) [m; ENU]."""
-        return np.array(
-            [f.enu_from_ned(np.array(v.position_ned_m)) for v, f in zip(self.vehicles, self.frames, strict=True)]
-        )
+        positions: Array = swap_ned_enu(np.array([v.position_ned_m for v in self.vehicles])) + self._origins_enu_m
+        return positions
 
     def state_enu(self, vehicle: Vehicle) -> tuple[float, ...] | None:
         """Return a vehicle's newest state as a row of the telemetry table, from the position on; None if unknown."""
         row = self.row_of.get(vehicle.system_id)
         if row is None or not self.frames or vehicle.position_ned_m is None or vehicle.velocity_ned_m_s is None:
             return None
-        position = self.frames[row].enu_from_ned(np.array(vehicle.position_ned_m))
-        velocity = swap_ned_enu(np.array(vehicle.velocity_ned_m_s))
+        position = self.frames[row].enu_from_ned(vehicle.position_ned_m)
+        velocity = rotate_ned_enu(vehicle.velocity_ned_m_s)
         yaw_rad = np.nan if vehicle.yaw_rad is None else vehicle.yaw_rad
         height_m = np.nan if vehicle.height_m is None else vehicle.height_m
-        return (*position.tolist(), *velocity.tolist(), yaw_rad, vehicle.boot_time_s, height_m)
+        return (*position, *velocity, yaw_rad, vehicle.boot_time_s, height_m)
 
     def ned_from_enu(self, rows: Sequence[int], position_enu_m: Array) -> Array:
         """Return local positions of mission ones for the vehicles at ``rows``, shape (len(rows), 3) [m]."""
-        return np.array([self.frames[row].ned_from_enu(p) for row, p in zip(rows, position_enu_m, strict=True)])
+        return swap_ned_enu(position_enu_m - self._origins_enu_m[list(rows)])
 
     async def ask(self, vehicles: Iterable[Vehicle], script: Callable[[Vehicle], Iterable[Request]]) -> None:
         """Work through each vehicle's requests, one after the other, all vehicles side by side.

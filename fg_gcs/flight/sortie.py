@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,9 @@ from fg_gcs.wire.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 WATCH_S = 0.1  # faults are looked for this often: at 10 m/s a metre of way
-ARRIVED_M = 0.5  # a vehicle this close to where it should rest has arrived
+ARRIVED_M = 1.0  # a vehicle this close to where it should rest has arrived: real PX4 wanders by 0.5 m while it hovers
+STILL_M = 0.1  # and this close it has settled; plans start from there, or after STILL_S all the same
+STILL_S = 3.0
 ON_GROUND_M = 0.3  # lower than this a vehicle is disarmed rather than landed
 SETTLE_S = 10.0  # how long arriving may take after a plan has ended
 CLIMB_M_S = 0.5  # slowest climb to wait for at take-off
@@ -140,8 +143,7 @@ class Sortie:
         streamer.motion = Rest(everybody, self._tops_m, self._plan.gather.yaw_rad(self._tops_m))
         await fleet.ask(by_command, lambda vehicle: [take_off(height_m, CLIMB_M_S)])
         streamer.engage(everybody)  # the last of them is in the air: setpoints cancel no take-off any more
-        wait_s = SETTLE_S + height_m / CLIMB_M_S
-        await until(fleet.vehicles, self._arrived, wait_s, f"at the take-off height of {height_m:g} m")
+        await self._settle(everybody, f"the take-off height of {height_m:g} m", SETTLE_S + height_m / CLIMB_M_S)
 
     async def _stream(self, rows: Sequence[int], plan: CheckedPlan) -> None:
         motion = Follow(rows, plan, self._time())
@@ -149,19 +151,22 @@ class Sortie:
         self._journal.stage_ends_s = motion.end_s
         await asyncio.sleep(plan.duration_s)
 
-    async def _settle(self, rows: Sequence[int], where: str) -> None:
+    async def _settle(self, rows: Sequence[int], where: str, timeout_s: float = SETTLE_S) -> None:
         """Wait until the vehicles have arrived where the motion has come to rest."""
-        await until([self._fleet.vehicles[row] for row in rows], self._arrived, SETTLE_S, f"arrived at {where}")
+        vehicles = [self._fleet.vehicles[row] for row in rows]
+        await until(vehicles, lambda v: self._error_m(v) < ARRIVED_M, timeout_s, f"arrived at {where}")
+        with suppress(VehicleError):  # in wind, or with a noisy estimate, none ever stands still
+            await until(vehicles, lambda v: self._error_m(v) < STILL_M, STILL_S, f"still at {where}")
 
-    def _arrived(self, vehicle: Vehicle) -> bool:
-        """Say whether a vehicle is where the present motion wants it."""
+    def _error_m(self, vehicle: Vehicle) -> float:
+        """Return how far a vehicle is from where the present motion wants it [m]."""
         motion = self.streamer.motion
         if motion is None or vehicle.position_ned_m is None:
-            return False
+            return np.inf
         row = self._fleet.row_of[vehicle.system_id]
         wanted = motion.at(self._time()).position_m[list(motion.rows).index(row)]
-        place = self._fleet.frames[row].enu_from_ned(np.array(vehicle.position_ned_m))
-        return bool(np.linalg.norm(place - wanted) < ARRIVED_M)
+        place = self._fleet.frames[row].enu_from_ned(vehicle.position_ned_m)
+        return float(np.linalg.norm(wanted - place))
 
     async def _go_home(self, rows: Sequence[int], plan: CheckedPlan) -> None:
         with self._journal.in_stage("home"):

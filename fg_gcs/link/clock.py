@@ -7,11 +7,13 @@ test, where time jumps to the next timer and nothing waits.
 import asyncio
 import math
 import selectors
-from collections.abc import AsyncIterator, Callable
-from typing import TypeVar, TypeVarTuple
+from collections.abc import AsyncGenerator, Callable
+from typing import Final, TypeVar, TypeVarTuple
 
 from fg_gcs.errors import FgError
 from fg_gcs.link.memory import MemoryNetwork
+
+HORIZON_S: Final = 1e5  # no flight lasts a day; past half a year a float is coarser than asyncio's clock resolution
 
 _Protocol = TypeVar("_Protocol", bound=asyncio.BaseProtocol)
 _Result = TypeVar("_Result")
@@ -24,6 +26,13 @@ class NothingToWaitFor(FgError):
     def __init__(self, now_s: float) -> None:
         self.now_s = now_s
         super().__init__(f"virtual time stands still at {now_s:.3f} s: every task waits and no timer is set")
+
+
+class VirtualTimeOver(FgError):
+    """Virtual time ran past `HORIZON_S`: something ticks on while what it ticks for never ends."""
+
+    def __init__(self) -> None:
+        super().__init__(f"virtual time ran past {HORIZON_S:g} s: something ticks on for ever")
 
 
 class _JumpingSelector(selectors.SelectSelector):
@@ -63,6 +72,8 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         if seconds is None:
             raise NothingToWaitFor(self._now_s)
         self._now_s += seconds
+        if self._now_s > HORIZON_S:
+            raise VirtualTimeOver
 
     async def create_datagram_endpoint(
         self,
@@ -134,7 +145,7 @@ def make_loop(speed: float) -> asyncio.AbstractEventLoop:
     return VirtualTimeLoop() if math.isinf(speed) else ScaledTimeLoop(speed)
 
 
-async def ticks(start_s: float, period_s: float) -> AsyncIterator[tuple[int, float]]:
+async def ticks(start_s: float, period_s: float) -> AsyncGenerator[tuple[int, float], None]:
     """Yield (k, lateness_s) at ``start_s + k * period_s`` of the running loop's time, for ever.
 
     Deadlines are absolute, so nothing drifts; a tick that is already past when its turn comes is skipped, never queued.

@@ -33,6 +33,8 @@ STEP_M = 1.0  # bound on the leaders' root mean square move in one step near the
 STEP_OF_DISTANCE = (
     0.1  # the bound grows with the distance to the target, so that 10 km take tens of steps, not thousands
 )
+STEP_GROWTH = 2.0  # from step to step: a spline through evenly growing steps does not swing
+TURNED = 0.5  # cosine between normal and target from which on steps grow: before, long ones would go astray
 TURN_RAD = 0.3  # largest turn in one step: keeps the attitude's spline true to the iterates
 ACCEPT = 0.1  # least share of the predicted gain that a step must bring (any value below 1/4 converges, [More1983]_)
 SURROUNDED = 0.75  # flux metric from which the last slide to the axis starts, about 0.25 radii in front of the face
@@ -66,17 +68,19 @@ def plan_path(formation: Formation, start: Pose, target_enu_m: Array, hold_depth
     search = _Search(formation, target)
     poses, pose = [start], start
     region = 1.0  # trust radius as a share of the largest step
+    bound_m = STEP_M
     for iterate in range(MAX_ITERATES):
         if search.surrounds(pose):
             end = search.hold(pose, hold_depth_m)
             return FluxPath((*poses, end) if _differ(poses[-1], end) else tuple(poses), iterate)
-        step, predicted = search.best_step(pose, region)
+        step, predicted = search.best_step(pose, region * bound_m)
         moved = search.apply(pose, step)
         gained = search.flux(moved) - search.flux(pose)
         if gained > ACCEPT * predicted:
             pose = moved
             poses.append(pose)
             region = min(1.0, 2.0 * region)
+            bound_m = search.step_bound_m(pose, bound_m)
         else:
             region *= 0.25
     raise PlanError(f"no flux-guided path to {tuple(target)} within {MAX_ITERATES} steps")
@@ -98,10 +102,12 @@ class _Search:
         """Return the last pose: the present attitude, the target on the axis and so far behind the face."""
         return Pose(self._target + depth_m * pose.rotation[:, 0], pose.rotation)
 
-    def step_bound_m(self, pose: Pose) -> float:
-        """Largest move of the leaders in one step, root mean square [m]."""
-        distance = float(np.linalg.norm(self._target - pose.centre_enu_m))
-        return max(STEP_M, STEP_OF_DISTANCE * distance)
+    def step_bound_m(self, pose: Pose, last_m: float) -> float:
+        """Largest move of the leaders in one step, root mean square [m]: long only when the face looks at a far target."""
+        ahead = self._target - pose.centre_enu_m
+        distance = float(np.linalg.norm(ahead))
+        turned = float(ahead @ pose.rotation[:, 0]) > TURNED * distance
+        return max(STEP_M, min(STEP_OF_DISTANCE * distance, STEP_GROWTH * last_m)) if turned else STEP_M
 
     def flux(self, pose: Pose) -> float:
         return float(solid_angle.flux(pose.centre_enu_m + self._rim_m @ pose.rotation.T, self._target))
@@ -111,11 +117,10 @@ class _Search:
         turn = Rotation.from_rotvec(step[3:]).as_matrix()
         return Pose(pose.centre_enu_m + step[:3], turn @ pose.rotation)
 
-    def best_step(self, pose: Pose, region: float) -> tuple[Array, float]:
-        """Return the step that maximises the second-order model within the region, and the gain it predicts."""
+    def best_step(self, pose: Pose, size_m: float) -> tuple[Array, float]:
+        """Return the step of at most ``size_m`` that maximises the second-order model, and the gain it predicts."""
         gradient, hessian = self._derivatives(pose)
-        size_m = region * self.step_bound_m(pose)
-        turn_rad = min(size_m / self._gyration_m, region * TURN_RAD)
+        turn_rad = min(size_m / self._gyration_m, TURN_RAD)
         scale = np.array([size_m] * 3 + [turn_rad] * 3)
         free = slice(None) if self.flux(pose) > 0.0 else slice(3, None)
         step = np.zeros(6)

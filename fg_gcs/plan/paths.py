@@ -32,6 +32,10 @@ class SwarmPath(Protocol):
     """A path of V vehicles over a parameter from 0 to ``length_m``."""
 
     @property
+    def knots_m(self) -> Array:
+        """Parameters between which the path is smooth, first 0 and last ``length_m``, shape (K,) [m]."""
+
+    @property
     def length_m(self) -> float:
         """Length of the parameter's range: about the way of the vehicle that moves furthest [m]."""
 
@@ -47,6 +51,11 @@ class LinePath:
         self._start_m = start_m
         self._length_m = float(np.linalg.norm(end_m - start_m, axis=1).max())
         self._slope = (end_m - start_m) / self._length_m if self._length_m else np.zeros_like(start_m)
+
+    @property
+    def knots_m(self) -> Array:
+        """Both ends."""
+        return np.array([0.0, self._length_m])
 
     @property
     def length_m(self) -> float:
@@ -69,22 +78,28 @@ class PosePath:
     """
 
     def __init__(self, slots_m: Array, poses: Sequence[Pose]) -> None:
-        """Take the slots in the order of the vehicles, shape (V, 3) [m; template], and at least two poses."""
+        """Take the slots in the order of the vehicles, shape (V, 3) [m; template], and one pose or more."""
         radius_m = float(np.linalg.norm(slots_m, axis=1).max())
-        knots_m = _chords(poses, radius_m)
-        kept = _thinned(knots_m)
+        chords_m = _chords(poses, radius_m)
+        kept = _thinned(chords_m)
         self._slots_m = slots_m
-        self._length_m = float(knots_m[-1])
+        self._knots_m = chords_m[kept]
         centres = np.array([pose.centre_enu_m for pose in poses])[kept]
-        self._centre = CubicSpline(knots_m[kept], centres, bc_type="natural")
-        self._attitude = RotationSpline(
-            knots_m[kept], Rotation.from_matrix(np.array([pose.rotation for pose in poses])[kept])
-        )
+        attitudes = Rotation.from_matrix(np.array([pose.rotation for pose in poses])[kept])
+        # A path of one pose has no length, but a spline needs two places for it
+        support_m = self._knots_m if self.length_m > 0.0 else np.array([0.0, 1.0])
+        self._centre = CubicSpline(support_m, centres, bc_type="natural")
+        self._attitude = RotationSpline(support_m, attitudes)
+
+    @property
+    def knots_m(self) -> Array:
+        """Where the poses are that both splines pass through."""
+        return self._knots_m
 
     @property
     def length_m(self) -> float:
         """Sum of the largest moves of a vehicle from pose to pose [m]."""
-        return self._length_m
+        return float(self._knots_m[-1])
 
     def at(self, s_m: Array) -> PathPoint:
         """Return the swarm at the parameters ``s_m``, shape (S,)."""
@@ -102,6 +117,8 @@ class PosePath:
 
 def _chords(poses: Sequence[Pose], radius_m: float) -> Array:
     """Cumulative way from pose to pose: the centre's and, at the given radius, the turn's, shape (K,) [m]."""
+    if len(poses) == 1:
+        return np.zeros(1)
     moves = np.diff([pose.centre_enu_m for pose in poses], axis=0)
     turns = Rotation.from_matrix([pose.rotation for pose in poses])
     angles = (turns[:-1].inv() * turns[1:]).magnitude()
@@ -110,6 +127,8 @@ def _chords(poses: Sequence[Pose], radius_m: float) -> Array:
 
 def _thinned(knots_m: Array) -> list[int]:
     """Indices of knots at least ``KNOT_M`` apart, first and last always among them."""
+    if len(knots_m) == 1:
+        return [0, 0]
     last = len(knots_m) - 1
     kept = [0]
     for index in range(1, last):

@@ -53,9 +53,10 @@ def time_optimal(path: SwarmPath, limits: Limits) -> Timing:
     """
     import toppra.algorithm as algorithm  # it loads matplotlib (0.5 s), so not before a plan is timed
 
+    if path.length_m == 0.0:  # everybody is where it should be: nothing to do, in no time
+        return Timing(np.zeros(2), np.zeros(2), np.zeros(2))
     logging.getLogger("toppra").setLevel(logging.ERROR)  # its warnings come back below as one error with a reason
-    points = int(np.clip(path.length_m / GRID_M, *GRID_POINTS)) + 1
-    grid = np.linspace(0.0, path.length_m, points)
+    grid = _grid(path)
     instance = algorithm.TOPPRA(
         [_constraint(path, grid, limits)], _Interval(grid), gridpoints=grid, solver_wrapper="seidel"
     )
@@ -75,6 +76,15 @@ def time_optimal(path: SwarmPath, limits: Limits) -> Timing:
 def warm_up() -> None:
     """Load toppra now, so that the first plan of a process is as quick as the next."""
     import toppra.algorithm  # noqa: F401 # loading is all that is wanted
+
+
+def _grid(path: SwarmPath) -> Array:
+    """Grid points, the path's knots among them: within a cell everything is smooth, shape (S,) [m]."""
+    knots = path.knots_m
+    spacing_m = path.length_m / np.clip(path.length_m / GRID_M, *GRID_POINTS)
+    cells = np.ceil(np.diff(knots) / spacing_m).astype(int)
+    starts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(knots, knots[1:], cells, strict=False)]
+    return np.concatenate((*starts, knots[-1:]))
 
 
 class _Interval:

@@ -30,7 +30,7 @@ class LimitParameter:
 
     Attributes:
         quantity: Field name of the limit: speed_m_s, climb_m_s, descent_m_s, acceleration_m_s2 or jerk_m_s3.
-        names: Parameter name and unit scale to SI, the newest firmware first; a vehicle has one of them.
+        names: Parameter name and unit scale to SI, the likeliest first; a vehicle has one of them.
     """
 
     quantity: str
@@ -224,11 +224,11 @@ ARDUPILOT: Final = Manners(
     setpoints_before_mode=False,
     lands_by_command=False,
     encoding=Encoding.CAST,
-    limits=(  # firmware 4.7 renamed them and went from centimetres to metres
-        _limit("speed_m_s", WP_SPD=1.0, WPNAV_SPEED=0.01),
-        _limit("climb_m_s", WP_SPD_UP=1.0, WPNAV_SPEED_UP=0.01),
-        _limit("descent_m_s", WP_SPD_DN=1.0, WPNAV_SPEED_DN=0.01),
-        _limit("acceleration_m_s2", WP_ACC=1.0, WPNAV_ACCEL=0.01),
+    limits=(  # newer firmware than the measured one renamed them and went from centimetres to metres
+        _limit("speed_m_s", WPNAV_SPEED=0.01, WP_SPD=1.0),
+        _limit("climb_m_s", WPNAV_SPEED_UP=0.01, WP_SPD_UP=1.0),
+        _limit("descent_m_s", WPNAV_SPEED_DN=0.01, WP_SPD_DN=1.0),
+        _limit("acceleration_m_s2", WPNAV_ACCEL=0.01, WP_ACC=1.0),
         _limit("jerk_m_s3", PSC_NE_JERK=1.0, PSC_JERK_NE=1.0, PSC_JERK_XY=1.0),
     ),
     failsafes=(

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fg_gcs.errors import LinkError
+from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Address, Endpoint, Kind, UdpWire, Wire, open_wire, parse_endpoint
 
 
@@ -29,16 +30,17 @@ def test_accepted_forms(text: str, endpoint: Endpoint) -> None:
     "text", ["", "14550", "udpin", "udpin:", "udpin:host", "serial:/dev/ttyS0", "udp:a:b:1", "tcp:h:0", "tcp:h:65536"]
 )
 def test_other_forms_are_refused_with_the_list_of_good_ones(text: str) -> None:
-    with pytest.raises(LinkError, match="udpin:HOST:PORT.*udpout:HOST:PORT.*tcp:HOST:PORT"):
+    with pytest.raises(LinkError, match=r"udpin:HOST:PORT.*udpout:HOST:PORT.*tcp:HOST:PORT"):
         parse_endpoint(text)
 
 
 @given(text=st.text())
 def test_any_text_gives_an_endpoint_or_one_clear_line(text: str) -> None:
     try:
-        assert 0 < parse_endpoint(text).port < 65536
+        told = str(parse_endpoint(text))
     except LinkError as error:
-        assert "\n" not in str(error)
+        told = str(error)
+    assert told.isprintable()
 
 
 class Heard:
@@ -93,9 +95,10 @@ def test_calling_where_nobody_listens_is_counted_not_raised() -> None:
     async def main() -> int:
         wire = await open_wire(Endpoint(Kind.UDP_OUT, "127.0.0.1", await free_port()), Heard())
         async with asyncio.timeout(5.0):  # seconds of real time: the refusal comes within microseconds
-            while not wire.errors:
+            async for _ in ticks(0.0, 0.001):
                 wire.send(b"anybody?", ("127.0.0.1", 1))
-                await asyncio.sleep(0)
+                if wire.errors:
+                    break
         wire.close()
         await asyncio.sleep(0)
         return wire.errors
@@ -120,8 +123,9 @@ def test_tcp_talks_both_ways_and_outlives_its_partner() -> None:
         assert (heard.data, heard.addresses) == ([b"HELLO"], [("127.0.0.1", port)])
         async with asyncio.timeout(5.0):  # seconds of real time
             await closed.wait()
-            while not wire.errors:
-                await asyncio.sleep(0)
+            async for _ in ticks(0.0, 0.001):
+                if wire.errors:
+                    break
         wire.send(b"too late", ("127.0.0.1", port))
         assert wire.dropped == 1
         wire.close()

@@ -96,9 +96,13 @@ def test_noise_that_looks_like_an_unknown_message_does_not_swallow_frames() -> N
 
 
 def test_unknown_incompatibility_flags_are_dropped() -> None:
-    frame = bytearray(heartbeats(1)[0])
-    frame[2] = 0x04
-    assert Codec().receive(bytes(frame)) == []
+    body = bytearray(heartbeats(1)[0][1:-2])
+    body[1] = 0x04
+    checksum: int = dialect.x25crc(bytes(body) + bytes([dialect.MAVLink_heartbeat_message.crc_extra])).crc
+    frame = b"\xfd" + bytes(body) + checksum.to_bytes(2, "little")
+    codec = Codec()
+    assert modes(codec.receive(frame + heartbeats(1)[0])) == [0]
+    assert codec.bad_bytes == len(frame)
 
 
 def test_random_bytes_never_raise_and_memory_stays_bounded() -> None:

@@ -12,8 +12,21 @@ from fg_gcs.wire.vehicle import LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Ori
 PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 ON_GROUND, IN_AIR = dialect.MAV_LANDED_STATE_ON_GROUND, dialect.MAV_LANDED_STATE_IN_AIR
 
-HEARD = """HEARTBEAT CURRENT_MODE SYS_STATUS EXTENDED_SYS_STATE LOCAL_POSITION_NED ATTITUDE GPS_GLOBAL_ORIGIN HOME_POSITION
-    COMMAND_ACK STATUSTEXT PARAM_VALUE PARAM_ERROR MESSAGE_INTERVAL""".split()
+HEARD = {
+    "HEARTBEAT",
+    "CURRENT_MODE",
+    "SYS_STATUS",
+    "EXTENDED_SYS_STATE",
+    "LOCAL_POSITION_NED",
+    "ATTITUDE",
+    "GPS_GLOBAL_ORIGIN",
+    "HOME_POSITION",
+    "COMMAND_ACK",
+    "STATUSTEXT",
+    "PARAM_VALUE",
+    "PARAM_ERROR",
+    "MESSAGE_INTERVAL",
+}
 
 
 class Probe:
@@ -92,6 +105,14 @@ def test_any_mode_that_was_not_commanded_is_a_take_over_and_stays_one(manners: M
         assert probe.heartbeat(mode, armed=True).phase is Phase.TAKEN
         assert probe.heartbeat(manners.streaming_mode, armed=True).phase is Phase.TAKEN
         assert probe.heartbeat(manners.streaming_mode, armed=False).phase is Phase.LANDED
+
+
+def test_the_mode_before_is_ours_only_until_the_commanded_one_was_seen() -> None:
+    probe = Probe()
+    probe.heartbeat(PX4.hold_mode, armed=True)
+    probe.vehicle.command_mode(PX4.streaming_mode)
+    phases = [probe.heartbeat(mode, armed=True).phase for mode in (PX4.hold_mode, PX4.streaming_mode, PX4.hold_mode)]
+    assert phases == [Phase.ARMED, Phase.ARMED, Phase.TAKEN]
 
 
 def test_nothing_is_taken_over_while_nothing_was_commanded() -> None:
@@ -233,6 +254,7 @@ def test_hostile_frames_never_raise() -> None:
 
 
 def frame_of(kind: type[dialect.MAVLink_message], payload: bytes) -> bytes:
-    body = bytes([len(payload), 0, 0, 0, 1, 1]) + kind.id.to_bytes(3, "little") + payload
+    identity: int = kind.id
+    body = bytes([len(payload), 0, 0, 0, 1, 1]) + identity.to_bytes(3, "little") + payload
     checksum: int = dialect.x25crc(body + bytes([kind.crc_extra])).crc
     return b"\xfd" + body + checksum.to_bytes(2, "little")

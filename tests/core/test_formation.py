@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
+
+from fg_gcs.core.coverage import coverage, flux_metric, normals
+from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
+
+
+def test_the_papers_hemisphere() -> None:
+    formation = hemisphere(4, 5, 5.0)
+    radius = 5.0 / np.sqrt(2.0)
+    placed = formation.place(Pose(np.array([0.0, 2.5, 2.5]), facing(np.array([1.0, 0.0, 0.0]))))
+    assert placed[:4] == pytest.approx(np.array([(0, 0, 0), (0, 5, 0), (0, 5, 5), (0, 0, 5)], dtype=float))
+    assert np.linalg.norm(formation.slots_m, axis=1) == pytest.approx(np.full(9, radius))
+    assert formation.followers_m[:, 0] == pytest.approx([-radius / 2] * 4 + [-radius])
+    assert formation.smallest_separation_m == pytest.approx(0.518 * radius, rel=1e-3)
+
+
+@pytest.mark.parametrize("leaders", [3, 4, 5, 8, 64])
+def test_any_number_of_leaders_has_equal_edges_on_one_sphere(leaders: int) -> None:
+    for followers in (0, 1, leaders, leaders + 1):
+        formation = hemisphere(leaders, followers, 2.0)
+        edges = np.linalg.norm(formation.leaders_m - np.roll(formation.leaders_m, 1, axis=0), axis=1)
+        assert edges == pytest.approx(np.full(leaders, 2.0))
+        assert len(formation.slots_m) == leaders + followers
+        radii = np.linalg.norm(formation.slots_m, axis=1)
+        assert radii == pytest.approx(np.full(len(radii), radii[0]))
+
+
+def test_placing_keeps_all_distances_and_scales_them() -> None:
+    formation = hemisphere(5, 6, 4.0)
+    for seed in range(10):
+        draw = np.random.default_rng(seed)
+        pose = Pose(draw.normal(size=3) * 50, Rotation.random(rng=draw).as_matrix())
+        assert pdist(formation.place(pose, 1.7)) == pytest.approx(1.7 * pdist(formation.slots_m))
+
+
+def test_facing_is_a_rotation_that_looks_where_it_is_told() -> None:
+    for direction in ((1, 0, 0), (0, 0, 1), (0, 0, -1), (-3, 0.1, 0), (1e-9, 0, 5)):
+        attitude = facing(np.array(direction, dtype=float))
+        assert attitude.T @ attitude == pytest.approx(np.eye(3), abs=1e-12)
+        assert np.linalg.det(attitude) == pytest.approx(1.0)
+        assert attitude[:, 0] == pytest.approx(np.array(direction) / np.linalg.norm(direction))
+
+
+@pytest.mark.parametrize(
+    ("leaders", "complaint"),
+    [
+        ([(0, 0, 0), (0, 1, 0)], "at least 3"),
+        ([(0, 0, 0), (0, 1, 0), (0, 2, 0)], "enclose an area"),
+        ([(0, 0, 0), (0, 0, 1), (0, 1, 0)], "wind around"),
+        ([(0, 0, 0), (0, 1, 0), (1, 1, 1)], "plane of the face"),
+        ([(0, 0, 0), (0, np.nan, 0), (0, 1, 1)], "finite"),
+    ],
+)
+def test_shapes_without_a_face_are_refused(leaders: list[tuple[float, float, float]], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        Formation(np.array(leaders, dtype=float), np.empty((0, 3)))
+
+
+def test_slots_cannot_be_changed() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        hemisphere(4, 5, 5.0).leaders_m[0, 0] = 1.0
+
+
+def test_coverage_is_one_on_the_axis_and_metric_is_one_in_the_face_and_among_the_swarm() -> None:
+    formation = hemisphere(4, 5, 5.0)
+    rims = np.repeat(formation.leaders_m[None], 5, axis=0)
+    sources = np.array([(9.0, 0, 0), (0.0, 0.3, 0), (-0.5, 0, 0), (-9.0, 0, 0), (0.0, 9.0, 0)])
+    assert coverage(rims, sources) == pytest.approx([1, 1, 1, 0, 0], abs=1e-6)
+    assert flux_metric(rims, sources)[1:] == pytest.approx([1, 1, 0, 0], abs=1e-6)
+    assert normals(rims)[0] == pytest.approx([1, 0, 0])
+
+
+def test_coverage_falls_off_like_the_cosine_far_away() -> None:
+    rim = hemisphere(6, 0, 1.0).leaders_m[None]
+    for angle in (0.2, 0.7, 1.2):
+        source = 1e4 * np.array([np.cos(angle), np.sin(angle), 0.0])
+        assert coverage(rim, source)[0] == pytest.approx(np.cos(angle), rel=1e-6)

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fg_gcs.core.frames import (
+    Geodetic,
+    LocalFrame,
+    enu_from_geodetic,
+    geodetic_from_enu,
+    rotate_ned_enu,
+    swap_ned_enu,
+    yaw_from_enu,
+)
+
+metres = st.floats(-1e5, 1e5)
+vectors = st.tuples(metres, metres, metres)
+places = st.builds(Geodetic, st.floats(-80, 80), st.floats(-180, 180), st.floats(-100, 5000))
+
+
+@given(vectors, vectors)
+def test_local_frames_there_and_back(origin: tuple[float, float, float], point: tuple[float, float, float]) -> None:
+    frame = LocalFrame(origin)
+    assert frame.ned_from_enu(frame.enu_from_ned(point)) == pytest.approx(point, abs=1e-9)
+
+
+@given(vectors)
+def test_scalar_and_array_rotations_agree_and_undo_themselves(vector: tuple[float, float, float]) -> None:
+    assert tuple(swap_ned_enu(np.array(vector)).tolist()) == rotate_ned_enu(vector)
+    assert rotate_ned_enu(rotate_ned_enu(vector)) == vector
+
+
+def test_north_east_down_by_name() -> None:
+    east_north_up = LocalFrame((100.0, 200.0, 5.0)).enu_from_ned((1.0, 2.0, 3.0))
+    assert east_north_up == (102.0, 201.0, 2.0)
+
+
+@given(places, st.tuples(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4), st.floats(-500, 5000)))
+def test_geodesy_there_and_back(origin: Geodetic, point: tuple[float, float, float]) -> None:
+    place = geodetic_from_enu(np.array(point), origin)
+    assert enu_from_geodetic(place, origin) == pytest.approx(np.array(point), abs=1e-6)
+
+
+def test_a_degree_of_latitude_is_as_long_as_the_tables_say() -> None:
+    at_45 = enu_from_geodetic(Geodetic(45.5, 9.0, 0.0), Geodetic(44.5, 9.0, 0.0))
+    assert np.hypot(at_45[1], at_45[2]) == pytest.approx(111_132.0, abs=5.0)  # NIMA TR8350.2: 111,132 m at 45 degrees
+
+
+@pytest.mark.parametrize(
+    ("direction", "heading"), [((0, 1, 0), 0.0), ((1, 0, 0), np.pi / 2), ((0, -1, 0), np.pi), ((-1, 0, 5), -np.pi / 2)]
+)
+def test_yaw_counts_clockwise_from_north(direction: tuple[float, float, float], heading: float) -> None:
+    assert yaw_from_enu(np.array(direction, dtype=float)) == pytest.approx(heading)

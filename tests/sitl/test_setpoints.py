@@ -1,0 +1,193 @@
+"""Which setpoint does what: the type-mask tables of both autopilots, row by row."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sitl_mock.setpoints import (
+    LETHAL,
+    Situation,
+    Understood,
+    Verdict,
+    Wish,
+    understand_ardupilot,
+    understand_px4,
+)
+
+HERE = Situation(now_s=5.0, offset_ned_m=(100.0, 0.0, 0.0), position_ned_m=(103.0, 0.0, -10.0), yaw_rad=math.pi / 2)
+NAN = math.nan
+FLY, BRAKE, HOLD, INVALID = Verdict.FLY, Verdict.BRAKE, Verdict.HOLD, Verdict.INVALID
+
+
+def wish(
+    mask: int,
+    frame: int = 1,
+    position: tuple[float, float, float] = (1.0, 2.0, -3.0),
+    velocity: tuple[float, float, float] = (4.0, 5.0, 6.0),
+    acceleration: tuple[float, float, float] = (0.1, 0.2, 0.3),
+    yaw: float = 0.5,
+) -> Wish:
+    return Wish(mask, frame, position, velocity, acceleration, yaw, 0.25)
+
+
+def px4(w: Wish) -> Understood:
+    return understand_px4(w, HERE, carry_s=0.1)
+
+
+def ardupilot(w: Wish) -> Understood:
+    return understand_ardupilot(w, HERE, carry_s=3.0)
+
+
+@pytest.mark.parametrize(
+    ("mask", "frame", "verdict"),
+    [
+        (0xDF8, 1, FLY),  # position
+        (0xDC0, 1, FLY),  # position, velocity
+        (0xC00, 1, FLY),  # position, velocity, acceleration
+        (0xDC7, 1, FLY),  # velocity
+        (0xDE3, 1, FLY),  # velocity in x and y, position in z
+        (0xC3F, 1, FLY),  # acceleration
+        (0x000, 1, FLY),
+        (0xF000, 1, FLY),  # unknown bits
+        (0x3F8, 1, FLY),  # FORCE bit with position only (acceleration ignored)
+        (0xFFF, 1, INVALID),
+        (0xE00, 1, INVALID),  # FORCE bit with acceleration
+        (0xDF8, 0, INVALID),
+        (0xDF8, 4, INVALID),
+        (0xDF8, 7, INVALID),
+        (0xDF8, 9, INVALID),
+        (0xDF8, 8, INVALID),  # BODY_NED with position
+        (0xDC7, 8, FLY),  # BODY_NED with velocity
+        (0xDF9, 1, HOLD),  # only x ignored
+        (0xDFA, 1, HOLD),  # only y ignored
+    ],
+)
+def test_px4_masks(mask: int, frame: int, verdict: Verdict) -> None:
+    understood = px4(wish(mask, frame))
+    assert understood.verdict is verdict
+    assert (understood.reference is not None) == (verdict is FLY)
+    assert bool(understood.text) == (verdict is INVALID)
+
+
+@pytest.mark.parametrize("bad", [NAN, math.inf, -math.inf])
+def test_px4_holds_on_one_bad_horizontal_coordinate_and_refuses_none_at_all(bad: float) -> None:
+    assert px4(wish(0xDF8, position=(bad, 2.0, -3.0))).verdict is HOLD
+    assert px4(wish(0xDF8, position=(1.0, bad, -3.0))).verdict is HOLD
+    assert px4(wish(0xDF8, position=(bad, bad, bad))).verdict is INVALID
+
+
+@pytest.mark.parametrize(
+    ("mask", "frame", "verdict"),
+    [
+        (0xDF8, 1, FLY),
+        (0xDC0, 1, FLY),
+        (0xC00, 1, FLY),
+        (0xDC7, 1, FLY),
+        (0xC07, 1, FLY),
+        (0xC3F, 1, FLY),
+        (0x000, 1, FLY),
+        (0x9F8, 1, FLY),
+        (0x9C0, 1, FLY),
+        (0x800, 1, FLY),
+        (0xC38, 1, BRAKE),  # position and acceleration without velocity
+        (0xFFF, 1, BRAKE),
+        (0xDFC, 1, BRAKE),  # only z ignored: the whole group is
+        (0xDE7, 1, BRAKE),  # only vz ignored
+        (0xE00, 1, BRAKE),  # FORCE bit with acceleration
+        (0xFC0, 1, FLY),  # FORCE bit without
+        (0xDF8, 0, BRAKE),
+        (0xDF8, 3, BRAKE),
+        (0xDF8, 5, BRAKE),
+        (0xDF8, 6, BRAKE),
+        (0xDF8, 20, BRAKE),
+        (0xDF8, 21, BRAKE),
+        (0xDF8, 7, FLY),
+        (0xDC7, 8, FLY),
+        (0xDF8, 9, FLY),
+    ],
+)
+def test_ardupilot_masks(mask: int, frame: int, verdict: Verdict) -> None:
+    understood = ardupilot(wish(mask, frame))
+    assert understood.verdict is verdict
+    assert not understood.text
+
+
+@pytest.mark.parametrize(
+    ("bad", "text"),
+    [
+        (wish(0xDF8, position=(NAN, 0.0, 0.0)), LETHAL),
+        (wish(0xDF8, position=(0.0, math.inf, 0.0)), LETHAL),
+        (wish(0xDF8, position=(0.0, 0.0, 1e9)), LETHAL),
+        (wish(0xC00, acceleration=(0.0, NAN, 0.0)), LETHAL),
+        (wish(0x9F8, yaw=NAN), LETHAL),
+        (wish(0xDC7, velocity=(NAN, 0.0, 0.0)), ""),
+        (wish(0xDC7, velocity=(0.0, 1001.0, 0.0)), ""),
+    ],
+)
+def test_ardupilot_brakes_on_numbers_that_are_none(bad: Wish, text: str) -> None:
+    understood = ardupilot(bad)
+    assert (understood.verdict, understood.text) == (BRAKE, text)
+
+
+def test_nan_in_ignored_fields_is_harmless() -> None:
+    hostile = wish(0xDF8, velocity=(NAN, NAN, NAN), acceleration=(NAN, NAN, NAN), yaw=NAN)
+    for understood in (px4(hostile), ardupilot(hostile)):
+        assert understood.verdict is FLY
+        assert understood.reference is not None
+        assert understood.reference.velocity_ned_m_s == (0.0, 0.0, 0.0)
+
+
+def test_frames_of_ardupilot() -> None:
+    """Local from the origin; offset from here; body turned by the heading (here: east)."""
+    places = {}
+    for frame in (1, 7, 8, 9):
+        reference = ardupilot(wish(0xDF8, frame, position=(1.0, 0.0, 0.0))).reference
+        assert reference is not None
+        places[frame] = reference.position_ned_m
+    assert places[1] == pytest.approx((101.0, 0.0, 0.0))
+    assert places[7] == pytest.approx((104.0, 0.0, -10.0))
+    assert places[8] == pytest.approx((103.0, 1.0, -10.0))
+    assert places[9] == pytest.approx((103.0, 1.0, -10.0))
+
+
+def test_yaw_ignored() -> None:
+    """PX4 keeps the heading; ArduPilot turns the nose into the direction of travel."""
+    kept, turned = px4(wish(0xDF8)).reference, ardupilot(wish(0xDC7, velocity=(0.0, -3.0, 0.0))).reference
+    assert kept is not None
+    assert kept.yaw_rad is None
+    assert turned is not None
+    assert turned.yaw_rad == pytest.approx(-math.pi / 2)
+
+
+def test_how_long_targets_run_on() -> None:
+    alone, moving, px4_moving = ardupilot(wish(0xDF8)), ardupilot(wish(0xDC0)), px4(wish(0xDC0))
+    assert [u.reference and (u.reference.carry_s, u.reference.lapses) for u in (alone, moving, px4_moving)] == [
+        (0.0, False),
+        (3.0, True),
+        (0.1, False),
+    ]
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True, width=32)
+vectors = st.tuples(numbers, numbers, numbers)
+
+
+@given(st.integers(0, 0xFFFF), st.integers(0, 255), vectors, vectors, vectors, numbers, numbers)
+def test_whatever_comes_what_is_flown_is_finite(
+    mask: int,
+    frame: int,
+    position: tuple[float, float, float],
+    velocity: tuple[float, float, float],
+    acceleration: tuple[float, float, float],
+    yaw: float,
+    rate: float,
+) -> None:
+    for understand in (px4, ardupilot):
+        reference = understand(Wish(mask, frame, position, velocity, acceleration, yaw, rate)).reference
+        if reference is not None:
+            flown = (*reference.position_ned_m, *reference.velocity_ned_m_s, *reference.acceleration_ned_m_s2)
+            assert all(map(math.isfinite, (*flown, reference.yaw_rad or 0.0, reference.yaw_rate_rad_s)))
