@@ -139,10 +139,7 @@ def _data_stream(vehicle: Autopilot, message: Received, link: int, now_s: float)
 
 def _timesync(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     if message.fields["tc1"] == 0:
-        fields = {"tc1": round(now_s * 1e9), "ts1": message.fields["ts1"]}
-        vehicle.send(
-            "TIMESYNC", fields | {"target_system": message.system, "target_component": message.component}, link
-        )
+        vehicle.send("TIMESYNC", {"tc1": round(now_s * 1e9), "ts1": message.fields["ts1"]}, link)
 
 
 def _ping(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:

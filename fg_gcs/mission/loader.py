@@ -64,11 +64,11 @@ def contradictions(mission: Mission) -> Iterator[Problem]:
         yield Problem("swarm", "system_ids", f"{twice[0]} occurs twice; accepted: a different id for every vehicle")
     if len(ids) != vehicles:
         yield Problem("swarm", "system_ids", f"{len(ids)} ids for {vehicles} vehicles; accepted: {vehicles} ids")
-    yield from _formation_contradictions(mission)
     fence = mission.fence.box()
     if not (np.array(fence.low_enu_m) < np.array(fence.high_enu_m)).all():
         yield Problem("fence", "high_enu_m", "each number must be larger than that of low_enu_m")
-        return
+        return  # against a fence without an inside everything else is wrong, too
+    yield from _formation_contradictions(mission)
     floor = fence.low_enu_m[2]
     target = mission.target.position_enu_m
     if target[2] < floor:

@@ -33,7 +33,7 @@ STEP_M = 1.0  # bound on the leaders' root mean square move in one step near the
 STEP_OF_DISTANCE = (
     0.1  # the bound grows with the distance to the target, so that 10 km take tens of steps, not thousands
 )
-STEP_GROWTH = 2.0  # from step to step: a spline through evenly growing steps does not swing
+STEP_GROWTH = 2.0  # from step to step: a spline through steps that grow gently does not swing
 TURNED = 0.5  # cosine between normal and target from which on steps grow: before, long ones would go astray
 TURN_RAD = 0.3  # largest turn in one step: keeps the attitude's spline true to the iterates
 ACCEPT = 0.1  # least share of the predicted gain that a step must bring (any value below 1/4 converges, [More1983]_)
