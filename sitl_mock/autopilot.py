@@ -131,17 +131,17 @@ class Autopilot:
     def status(self) -> Status:
         """HEARTBEAT.system_status."""
         if self.body.time_s < self.boot.standby_s:
-            return Status.UNINIT if self.manners.blind_ack else Status.BOOT
+            return Status.UNINIT if self.manners.is_px4 else Status.BOOT
         if self.failsafe is not None and self.armed:
             return Status.CRITICAL
-        if self.manners.blind_ack:  # PX4: armed is active, and standby says that arming would work
+        if self.manners.is_px4:  # PX4: armed is active, and standby says that arming would work
             return Status.ACTIVE if self.armed else Status.STANDBY if self.arming_refusal() is None else Status.UNINIT
         return Status.ACTIVE if self.landed is not Landed.ON_GROUND else Status.STANDBY
 
     def arming_refusal(self) -> str | None:
         """Why arming in the present mode would be refused now; None: it would not."""
         mode = self.mode
-        if self.manners.blind_ack:
+        if self.manners.is_px4:
             gcs_wanted = self.parameters["NAV_DLL_ACT"] > 0
             deaf = self.body.time_s - self.gcs_heard_at_s > self.parameters["COM_DL_LOSS_T"]
             lacking = mode.need in (Need.PILOT, Need.MISSION) or (mode.need is Need.STREAM and not self.stream_fresh)
@@ -174,10 +174,10 @@ class Autopilot:
         self.failsafe = None
         self.pilot.enter(self.body)
         self.set_home(self.body.position_m)
-        if not self.manners.blind_ack:
+        if not self.manners.is_px4:
             self.send("GPS_GLOBAL_ORIGIN")
             self.pilot.setpoint = None
-        self.say("Armed by external command" if self.manners.blind_ack else "Arming motors", Severity.INFO)
+        self.say("Armed by external command" if self.manners.is_px4 else "Arming motors", Severity.INFO)
         return Result.ACCEPTED
 
     def disarm(self, reason: str, force: bool = False) -> Result:
@@ -185,7 +185,7 @@ class Autopilot:
         if not self.armed:
             return Result.ACCEPTED
         if self.airborne and not force:
-            if self.manners.blind_ack:
+            if self.manners.is_px4:
                 self.say("Disarming denied: not landed")
             return self.manners.refused_disarming
         self.armed = self.airborne = self.climbing = False
@@ -204,7 +204,7 @@ class Autopilot:
             if mode.title:
                 self.say(f"Switching to {mode.title} is currently not available")
             return self.manners.refused_mode
-        if self.manners.blind_ack:
+        if self.manners.is_px4:
             self.failsafe = None  # ArduPilot keeps its failsafe until its cause is gone
         self.change(mode, keep_intention=False)
         return Result.ACCEPTED
@@ -256,12 +256,12 @@ class Autopilot:
 
     def set_origin(self, origin_ned_m: Vec3) -> bool:
         """Move the local frame. PX4 always can (in flight it jumps); ArduPilot only before it has one."""
-        if not self.manners.blind_ack and (self.origin_set or self.body.time_s < self.boot.standby_s):
+        if not self.manners.is_px4 and (self.origin_set or self.body.time_s < self.boot.standby_s):
             return False
         self.local_origin_ned_m = origin_ned_m
         self.origin_set = True
         self.send("GPS_GLOBAL_ORIGIN")
-        if not self.manners.blind_ack:
+        if not self.manners.is_px4:
             self.send("HOME_POSITION")
         return True
 
@@ -313,4 +313,4 @@ class Autopilot:
             self.landed = Landed.LANDING
         elif self.airborne:
             self.landed = Landed.IN_AIR
-        self.send("CURRENT_MODE" if self.manners.blind_ack else "HEARTBEAT")
+        self.send("CURRENT_MODE" if self.manners.is_px4 else "HEARTBEAT")

@@ -81,19 +81,17 @@ def acknowledgement(command: Command, result: Result) -> Outgoing:
 
 def _arm(vehicle: Autopilot, command: Command) -> Result | None:
     wish = command.parameters[0]
-    if vehicle.manners.blind_ack:
+    if vehicle.manners.is_px4:
         wish = round(wish) if math.isfinite(wish) and abs(wish) < 10 else wish
         wish = 1.0 if command.parameters[0] == 0.5 else float(wish)  # measured: 0.5 counts as 1
     if wish not in (0.0, 1.0):
-        if not vehicle.manners.blind_ack:
+        if not vehicle.manners.is_px4:
             return Result.UNSUPPORTED
         vehicle.say(f"Unsupported ARM_DISARM param: {command.parameters[0]:.3f}")
         return None
     forced = command.parameters[1]
     if wish == 1.0:
-        return vehicle.arm(
-            force=forced in (FORCE_ARM, FORCE_DISARM) if vehicle.manners.blind_ack else forced == FORCE_ARM
-        )
+        return vehicle.arm(force=forced in (FORCE_ARM, FORCE_DISARM) if vehicle.manners.is_px4 else forced == FORCE_ARM)
     return vehicle.disarm("command", force=forced == FORCE_DISARM)
 
 
@@ -127,7 +125,7 @@ def set_mode_number(vehicle: Autopilot, number: int | None) -> Result:
     """Change to a custom mode by its number (DO_SET_MODE of ArduPilot, the SET_MODE message of both)."""
     mode = next((m for m in vehicle.manners.modes if m.number == number), None)
     if mode is None:
-        if not vehicle.manners.blind_ack:
+        if not vehicle.manners.is_px4:
             vehicle.say(f"No such mode {number}")
         return vehicle.manners.refused_mode
     if mode.name == "AUTO_RTL":
@@ -161,13 +159,13 @@ def _take_off_ardupilot(vehicle: Autopilot, command: Command) -> Result | None:
 
 
 def _land(vehicle: Autopilot, command: Command) -> Result | None:
-    if vehicle.manners.blind_ack:
+    if vehicle.manners.is_px4:
         vehicle.say("Landing at current position", Severity.INFO)
     return vehicle.set_mode(vehicle.modes[vehicle.manners.land_mode])
 
 
 def _return(vehicle: Autopilot, command: Command) -> Result | None:
-    if vehicle.manners.blind_ack:
+    if vehicle.manners.is_px4:
         vehicle.say("Returning to launch", Severity.INFO)
     return vehicle.set_mode(vehicle.modes[vehicle.manners.return_mode])
 
@@ -181,7 +179,7 @@ def _reposition(vehicle: Autopilot, command: Command) -> Result | None:
         return Result.DENIED
     base_m = 0.0 if command.frame in GLOBAL_ALTITUDE_FRAMES else vehicle.world.origin.altitude_m
     place = vehicle.world.ned_m(Geodetic(latitude_deg, longitude_deg, altitude + base_m))
-    name = vehicle.manners.hold_mode if vehicle.manners.blind_ack else vehicle.manners.stream_mode
+    name = vehicle.manners.hold_mode if vehicle.manners.is_px4 else vehicle.manners.stream_mode
     result = vehicle.set_mode(vehicle.modes[name])
     vehicle.pilot.go_to(Reference(place, position_used=ALL, yaw_rad=vehicle.body.yaw_rad))
     return result
@@ -201,9 +199,9 @@ def _set_interval(vehicle: Autopilot, command: Command) -> Result | None:
     manners, link, now_s = vehicle.manners, vehicle.links[command.link], vehicle.body.time_s
     name = NAMES.get(number) if number is not None else None
     if name is None:
-        if number in MUTE_IDS and not (number == 331 and not manners.blind_ack):
+        if number in MUTE_IDS and not (number == 331 and not manners.is_px4):
             return Result.ACCEPTED
-        if not manners.blind_ack:
+        if not manners.is_px4:
             vehicle.say(f"No ap_message for mavlink id ({number})")
         return manners.unknown_interval
     if name == "HEARTBEAT" and not manners.heartbeat_settable:
@@ -228,7 +226,7 @@ def _set_interval(vehicle: Autopilot, command: Command) -> Result | None:
 def _get_interval(vehicle: Autopilot, command: Command) -> Result | None:
     number = command.whole(1)
     name = NAMES.get(number) if number is not None else None
-    px4 = vehicle.manners.blind_ack
+    px4 = vehicle.manners.is_px4
     interval_us, result = -1 if px4 else 0, Result.ACCEPTED if px4 else Result.FAILED
     if name is not None:
         period_s = vehicle.links[command.link].period_s(name)
@@ -266,39 +264,44 @@ def _silent(vehicle: Autopilot, command: Command) -> Result | None:
 
 def _reboot(vehicle: Autopilot, command: Command) -> Result | None:
     """PX4's simulator goes on. ArduPilot acknowledges; rebooting for real is not modelled."""
-    return Result.DENIED if vehicle.manners.blind_ack and command.parameters[0] != 0.0 else Result.ACCEPTED
+    return Result.DENIED if vehicle.manners.is_px4 and command.parameters[0] != 0.0 else Result.ACCEPTED
 
 
 def _mission_start(vehicle: Autopilot, command: Command) -> Result | None:
-    if vehicle.manners.blind_ack:
+    if vehicle.manners.is_px4:
         vehicle.say("Mission start denied! No valid mission")
         return Result.DENIED
     return Result.FAILED
 
 
-_COMMON: dict[int, Handler] = {
-    NAV_RTL: _return,
-    NAV_LAND: _land,
-    DO_REPOSITION: _reposition,
-    246: _reboot,
-    300: _mission_start,
-    400: _arm,
-    410: _request_fixed("HOME_POSITION"),
-    510: _get_interval,
-    511: _set_interval,
-    512: _request_message,
-    520: _request_fixed("AUTOPILOT_VERSION"),
-}
+_COMMON: Mapping[int, Handler] = MappingProxyType(
+    {
+        NAV_RTL: _return,
+        NAV_LAND: _land,
+        DO_REPOSITION: _reposition,
+        246: _reboot,
+        300: _mission_start,
+        400: _arm,
+        410: _request_fixed("HOME_POSITION"),
+        510: _get_interval,
+        511: _set_interval,
+        512: _request_message,
+        520: _request_fixed("AUTOPILOT_VERSION"),
+    }
+)
 # Measured: PX4 never answers these.
 _PX4_SILENT = (203, 205, 206, 242, 420, 500, 521, 530, 1000, 2510, 2511, 3000, 30001, 42600)
 
 HANDLERS: Mapping[str, Mapping[int, Handler]] = MappingProxyType(
     {
         "px4": MappingProxyType(
-            _COMMON | {NAV_TAKEOFF: _take_off_px4, DO_SET_MODE: _set_mode_px4} | dict.fromkeys(_PX4_SILENT, _silent)
+            dict(_COMMON)
+            | {NAV_TAKEOFF: _take_off_px4, DO_SET_MODE: _set_mode_px4}
+            | dict.fromkeys(_PX4_SILENT, _silent)
         ),
         "ardupilot": MappingProxyType(
-            _COMMON | {NAV_TAKEOFF: _take_off_ardupilot, DO_SET_MODE: _set_mode_ardupilot, SET_ORIGIN: _set_origin}
+            dict(_COMMON)
+            | {NAV_TAKEOFF: _take_off_ardupilot, DO_SET_MODE: _set_mode_ardupilot, SET_ORIGIN: _set_origin}
         ),
     }
 )

@@ -48,7 +48,7 @@ class Failsafes:
         vehicle = self._vehicle
         if not math.isfinite(vehicle.gcs_heard_at_s):
             return
-        px4 = vehicle.manners.blind_ack
+        px4 = vehicle.manners.is_px4
         if px4:
             action = int(vehicle.parameters["NAV_DLL_ACT"])
             limit_s = vehicle.parameters["COM_DL_LOSS_T"] + GCS_LOSS_EXTRA_S
@@ -84,6 +84,6 @@ class Failsafes:
         vehicle.failsafe, vehicle.failsafe_at_s = event, vehicle.body.time_s
         if mode_name:
             # PX4 remembers what was intended, ArduPilot does not.
-            vehicle.change(vehicle.modes[mode_name], keep_intention=vehicle.manners.blind_ack)
+            vehicle.change(vehicle.modes[mode_name], keep_intention=vehicle.manners.is_px4)
         else:
             vehicle.disarm("failsafe", force=True)

@@ -62,7 +62,7 @@ class GroundWatch:
         waited_s = vehicle.body.time_s - vehicle.climb_since_s
         if takeoff and waited_s >= manners.takeoff_state_s and vehicle.landed is Landed.ON_GROUND:
             vehicle.landed = Landed.TAKEOFF
-            if manners.blind_ack:
+            if manners.is_px4:
                 vehicle.say("Takeoff detected", Severity.INFO)
         if waited_s >= (manners.liftoff_s if takeoff else manners.liftoff_stream_s):
             vehicle.airborne = True
@@ -84,7 +84,7 @@ class GroundWatch:
     def _touch_down(self) -> None:
         """On the ground long enough while not asked to climb: landed."""
         vehicle = self._vehicle
-        px4, now_s = vehicle.manners.blind_ack, vehicle.body.time_s
+        px4, now_s = vehicle.manners.is_px4, vehicle.body.time_s
         if vehicle.mode.behaviour is Behaviour.RETURN and vehicle.pilot.descending:
             vehicle.landed = Landed.LANDING
         # PX4 does not take a position setpoint below the ground for a landing: it sits there armed.
@@ -104,7 +104,7 @@ class GroundWatch:
     def _disarm(self) -> None:
         """After a landing, or armed for too long without a take-off."""
         vehicle, value = self._vehicle, self._vehicle.parameters
-        px4, now_s, landed_at_s = vehicle.manners.blind_ack, vehicle.body.time_s, vehicle.landed_at_s
+        px4, now_s, landed_at_s = vehicle.manners.is_px4, vehicle.body.time_s, vehicle.landed_at_s
         ending = px4 or vehicle.mode.behaviour in (Behaviour.LAND, Behaviour.RETURN)
         if landed_at_s is not None and ending:
             delay_s = value["COM_DISARM_LAND"] if px4 else LANDED_DISARM_S

@@ -1,7 +1,8 @@
 """What PX4 and ArduPilot do differently, as one table of data.
 
 Every number here was measured on the wire of the real SITL autopilots (PX4 1.17-alpha with SIH, ArduCopter 4.7-dev);
-`docs/autopilots` has the records. The logic in `autopilot.py` reads this table and has no other idea of the two.
+`docs/autopilots` has the records. The logic reads numbers, modes and results from this table; where the two autopilots
+do different things altogether it asks `is_px4`.
 """
 
 from __future__ import annotations
@@ -75,6 +76,7 @@ class Manners:
     """How one autopilot behaves on the wire and in the air."""
 
     name: str
+    is_px4: bool  # for what is another story, not another number
     autopilot: int  # MAV_AUTOPILOT
     modes: tuple[Mode, ...]
     first_mode: str
@@ -93,7 +95,6 @@ class Manners:
     text_suffix: str
     target_components: frozenset[int] | None  # commands for other components are not answered; None: any
     obeys_system_0: bool  # commands to target_system 0
-    blind_ack: bool  # DO_SET_MODE is acknowledged before it is looked at
     refused_arming: Result
     refused_disarming: Result
     refused_mode: Result
@@ -144,6 +145,7 @@ _PX4_MODES = (
 
 PX4 = Manners(
     name="px4",
+    is_px4=True,
     autopilot=12,
     modes=_PX4_MODES,
     first_mode="LOITER",
@@ -201,7 +203,6 @@ PX4 = Manners(
     text_suffix="\t",
     target_components=frozenset({0, 1}),
     obeys_system_0=False,
-    blind_ack=True,
     refused_arming=Result.TEMPORARILY_REJECTED,
     refused_disarming=Result.TEMPORARILY_REJECTED,
     refused_mode=Result.TEMPORARILY_REJECTED,
@@ -257,6 +258,7 @@ _ARDUPILOT_MODES = (
 
 ARDUPILOT = Manners(
     name="ardupilot",
+    is_px4=False,
     autopilot=3,
     modes=_ARDUPILOT_MODES,
     first_mode="STABILIZE",
@@ -284,7 +286,6 @@ ARDUPILOT = Manners(
     text_suffix="",
     target_components=None,
     obeys_system_0=True,
-    blind_ack=False,
     refused_arming=Result.FAILED,
     refused_disarming=Result.FAILED,
     refused_mode=Result.FAILED,

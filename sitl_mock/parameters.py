@@ -8,13 +8,14 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
+from types import MappingProxyType
 from typing import Any
 
 from sitl_mock.manners import Manners
 from sitl_mock.messages import Fields
 
-TYPE_IDS = {"INT8": 2, "INT16": 4, "INT32": 6, "REAL32": 9}  # MAV_PARAM_TYPE
-RANGES = {"INT8": (-128, 127), "INT16": (-32768, 32767), "INT32": (-(2**31), 2**31 - 1)}
+TYPE_IDS = MappingProxyType({"INT8": 2, "INT16": 4, "INT32": 6, "REAL32": 9})  # MAV_PARAM_TYPE
+RANGES = MappingProxyType({"INT8": (-128, 127), "INT16": (-32768, 32767), "INT32": (-(2**31), 2**31 - 1)})
 UNINDEXED = 65535  # param_index of an answer that belongs to no list
 # PARAM_ERROR.error as PX4 sends it
 ERROR_NAME, ERROR_TYPE_UNSUPPORTED, ERROR_TYPE_MISMATCH = 1, 6, 7

@@ -55,7 +55,7 @@ class Pilot:
     """
 
     def __init__(self, manners: Manners, parameters: Parameters, drift_rad: float) -> None:
-        self._px4 = manners.takeoff_mode is not None
+        self._px4 = manners.is_px4
         self._manners = manners
         self._parameters = parameters
         self._drift_m_s = (

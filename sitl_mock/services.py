@@ -57,7 +57,7 @@ def _addressed(vehicle: Autopilot, message: Received, system_0: bool) -> bool:
 def _heartbeat(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     if message.fields["type"] == GCS_TYPE:
         vehicle.links[link].texts_open = True
-    if vehicle.manners.blind_ack:
+    if vehicle.manners.is_px4:
         if message.fields["type"] == GCS_TYPE:
             vehicle.gcs_heard_at_s = now_s
     elif message.system == vehicle.parameters["MAV_GCS_SYSID"]:
@@ -86,7 +86,7 @@ def _setpoint_global(vehicle: Autopilot, message: Received, link: int, now_s: fl
         return
     f = message.fields
     frame, mask = int(f["coordinate_frame"]), int(f["type_mask"])
-    px4 = vehicle.manners.blind_ack
+    px4 = vehicle.manners.is_px4
     if px4 and frame not in PX4_GLOBAL_FRAMES:
         text = f"SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame {frame}"
         vehicle.obey(Understood(Verdict.INVALID, text=text))
@@ -127,7 +127,7 @@ def _set_origin(vehicle: Autopilot, message: Received, link: int, now_s: float) 
 
 
 def _data_stream(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if vehicle.manners.blind_ack or not _addressed(vehicle, message, system_0=True):
+    if vehicle.manners.is_px4 or not _addressed(vehicle, message, system_0=True):
         return  # PX4 ignores it
     number, rate_hz = message.fields["req_stream_id"], message.fields["req_message_rate"]
     period_s = 1.0 / rate_hz if message.fields["start_stop"] and rate_hz else None
@@ -144,13 +144,13 @@ def _timesync(vehicle: Autopilot, message: Received, link: int, now_s: float) ->
 
 def _ping(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     f = message.fields
-    if f["target_system"] == 0 and vehicle.manners.blind_ack:
+    if f["target_system"] == 0 and vehicle.manners.is_px4:
         back = {"target_system": message.system, "target_component": message.component}
         vehicle.send("PING", {"time_usec": f["time_usec"], "seq": f["seq"], **back}, link)
 
 
 def _parameter_list(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if not _addressed(vehicle, message, system_0=not vehicle.manners.blind_ack):
+    if not _addressed(vehicle, message, system_0=not vehicle.manners.is_px4):
         return
     vehicle.links[link].parameter_index = 0
     if vehicle.manners.parameters_bytewise:
@@ -179,7 +179,7 @@ def continue_lists(vehicle: Autopilot) -> None:
 
 
 def _parameter_read(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if not _addressed(vehicle, message, system_0=not vehicle.manners.blind_ack):
+    if not _addressed(vehicle, message, system_0=not vehicle.manners.is_px4):
         return
     index = message.fields["param_index"]
     name = message.fields["param_id"] if index < 0 else vehicle.parameters.name_at(index)
@@ -196,7 +196,7 @@ def _parameter_read(vehicle: Autopilot, message: Received, link: int, now_s: flo
 
 
 def _parameter_set(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if not _addressed(vehicle, message, system_0=not vehicle.manners.blind_ack):
+    if not _addressed(vehicle, message, system_0=not vehicle.manners.is_px4):
         return
     f = message.fields
     name = f["param_id"]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
+import stat
 import sys
 
 from sitl_mock.server import PortUnavailable, Simulator, SimulatorOptions
@@ -54,6 +56,9 @@ def ready_line(simulator: Simulator) -> str:
 
 async def _watch_parent(ended: asyncio.Event) -> None:
     """Set `ended` when standard input reaches its end: the parent is gone, or wants us gone."""
+    if not (sys.stdin.isatty() or stat.S_ISFIFO(mode := os.fstat(sys.stdin.fileno()).st_mode) or stat.S_ISSOCK(mode)):
+        ended.set()  # a file or /dev/null: no parent is at the other end, and it cannot be waited for
+        return
     reader = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
     transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)

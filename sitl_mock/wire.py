@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
@@ -10,7 +12,7 @@ from pymavlink.dialects.v20 import all as dialect
 from sitl_mock.messages import Fields, Received
 
 COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
-CLASSES: dict[str, Any] = {row.msgname: row for row in dialect.mavlink_map.values()}
+CLASSES: Mapping[str, Any] = MappingProxyType({row.msgname: row for row in dialect.mavlink_map.values()})
 
 
 class Codec:

@@ -31,7 +31,7 @@ def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
         except PlanError as error:
             raise PlanError(f"{path}: {error}") from error
         keys = plan_keys(str(path), mission, made)
-        print(_words(keys), file=sys.stderr)
+        print(_words(str(path), mission, made), file=sys.stderr)
         if as_json:
             print(json.dumps(plain(keys)), flush=True)
         if plot is not None:
@@ -95,18 +95,21 @@ def plan_keys(name: str, mission: Mission, made: FlightPlan) -> dict[str, object
     }
 
 
-def _words(keys: dict[str, object]) -> str:
-    return (
-        "{mission}: {vehicles} vehicles, {leaders} of them leaders\n"
-        "  path        {path_length_m:.1f} m over all leaders (straight {straight_length_m:.1f} m), {iterates} steps\n"
-        "  flux        metric {flux_metric:.3f} at the end; coverage {coverage_mean:.3f} on average, "
-        "{coverage_min_after_facing:.3f} at least once it faces the target\n"
-        "  duration    {duration_s:.2f} s; at most {peak_speed_m_s:.2f} m/s and {peak_acceleration_m_s2:.2f} m/s^2\n"
-        "  separation  {min_separation_m:.2f} m at least (vehicles {min_separation_pair[0]} and "
-        "{min_separation_pair[1]}), on the whole flight"
-    ).format(**keys) + f"\n  planned in  {1e3 * _sum(keys):.1f} ms"
-
-
-def _sum(keys: dict[str, object]) -> float:
-    parts = (keys["plan_time_s"], keys["timing_time_s"])
-    return sum(part for part in parts if isinstance(part, float))
+def _words(name: str, mission: Mission, made: FlightPlan) -> str:
+    figures, ids = made.figures, mission.swarm.ids()
+    first, second = (ids[row] for row in made.separation.pair)
+    return "\n".join(
+        (
+            f"{name}: {len(made.slot_of)} vehicles, {len(made.rim_of)} of them leaders",
+            f"  path        {figures.path_length_m:.1f} m over all leaders "
+            f"(straight {figures.straight_length_m:.1f} m), {figures.iterates} steps",
+            f"  flux        metric {figures.flux_metric:.3f} at the end; "
+            f"coverage {figures.coverage_mean:.3f} on average, "
+            f"{figures.coverage_min_after_facing:.3f} at least once it faces the target",
+            f"  duration    {made.approach.duration_s:.2f} s; "
+            f"at most {made.peaks.speed_m_s:.2f} m/s and {made.peaks.acceleration_m_s2:.2f} m/s^2",
+            f"  separation  {made.separation.distance_m:.2f} m at least (vehicles {first} and {second}), "
+            "on the whole flight",
+            f"  planned in  {1e3 * (made.plan_time_s + made.timing_time_s):.1f} ms",
+        )
+    )

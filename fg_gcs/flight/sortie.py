@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.errors import PlanError, VehicleError
-from fg_gcs.flight.fleet import Fleet, until
+from fg_gcs.flight.fleet import Fleet, names, until
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.safety import CONSEQUENCES, Action, Kind, faults
 from fg_gcs.flight.streamer import Brake, Follow, Rest, Streamer
@@ -185,6 +185,9 @@ class Sortie:
         highest_m = max((vehicle.height_m or 0.0 for vehicle in vehicles), default=0.0)
         wait_s = LANDING_SPARE_S + highest_m / SINK_M_S
         await until(vehicles, lambda v: not v.armed or v.phase is Phase.LOST, wait_s, "landed and disarmed")
+        lost = [vehicle.system_id for vehicle in vehicles if vehicle.phase is Phase.LOST]
+        if lost:
+            raise VehicleError(f"vehicles {names(lost)} were lost while they landed")
 
     # --- when something is wrong ---------------------------------------------------------------------------------
 

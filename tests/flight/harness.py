@@ -1,0 +1,156 @@
+"""Whole flights in virtual time: the real ground station and the real simulator on one loop, joined by datagrams."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import all as dialect
+from scipy.spatial.distance import pdist
+
+from fg_gcs.flight.director import Director, Result, Setup
+from fg_gcs.link.clock import VirtualTimeLoop, ticks
+from fg_gcs.mission import Mission, load_mission
+from fg_gcs.record.recorder import Recorder
+from sitl_mock.server import Simulator, SimulatorOptions
+
+Array = NDArray[np.float64]
+
+GROUND_PORT, OTHER_PORT = 14550, 14551  # ours, and another ground station's
+SMALL = """
+[swarm]
+vehicles = 4
+[formation]
+shape = "hemisphere"
+leaders = 3
+followers = 1
+edge_m = 6.0
+centre_enu_m = [0.0, 0.0, 10.0]
+normal_enu = [1.0, 0.0, 0.0]
+[target]
+position_enu_m = [-6.0, 10.0, 12.0]
+[hold]
+duration_s = 2.0
+[limits]
+speed_m_s = 8.0
+acceleration_m_s2 = 4.0
+separation_m = 1.5
+[fence]
+low_enu_m = [-30.0, -30.0, 2.0]
+high_enu_m = [30.0, 30.0, 30.0]
+[takeoff]
+height_m = 2.5
+"""
+
+
+@dataclass
+class Flight:
+    """One flight with everything around it, as scripts and tests see it."""
+
+    director: Director
+    simulator: Simulator
+    recorder: Recorder
+    truth_separation_m: float = np.inf  # closest pair in the simulator's own state, airborne or not
+    result: Result | None = None
+
+    async def reaches(self, stage: str) -> None:
+        """Wait until the flight is in a stage."""
+        async for _ in ticks(asyncio.get_running_loop().time(), 0.02):
+            if self.director.journal.stage == stage:
+                return
+
+    @property
+    def events(self) -> str:
+        """Everything that was said."""
+        return (self.recorder.folder / "events.jsonl").read_text()
+
+
+class OtherStation(asyncio.DatagramProtocol):
+    """A second ground station on the vehicles' second link; open it with :meth:`open`."""
+
+    def __init__(self) -> None:
+        self.addresses: dict[int, tuple[str, int]] = {}
+        self.acknowledgements = 0
+        self._packer = dialect.MAVLink(None, srcSystem=250, srcComponent=190)
+        self._transport: asyncio.DatagramTransport | None = None
+
+    @classmethod
+    async def open(cls) -> OtherStation:
+        loop = asyncio.get_running_loop()
+        _, station = await loop.create_datagram_endpoint(cls, local_addr=("127.0.0.1", OTHER_PORT))
+        return station
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.DatagramTransport)
+        self._transport = transport
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        self.addresses[data[5]] = addr  # byte 5 of a MAVLink 2 frame is the sender's system id
+        self.acknowledgements += int.from_bytes(data[7:10], "little") == dialect.MAVLINK_MSG_ID_COMMAND_ACK
+
+    def command_mode(self, system_id: int, mode: int) -> None:
+        main, sub = (mode >> 16 & 0xFF, mode >> 24) if mode > 0xFFFF else (mode, 0)
+        command = dialect.MAVLink_command_long_message(system_id, 1, 176, 0, 1, main, sub, 0, 0, 0, 0)
+        assert self._transport is not None
+        self._transport.sendto(bytes(command.pack(self._packer)), self.addresses[system_id])
+
+
+Script = Callable[[Flight], Awaitable[None]]
+
+
+def mission_of(folder: Path, text: str = SMALL) -> Mission:
+    path = folder / "mission.toml"
+    path.write_text(text)
+    return load_mission(path)
+
+
+def fly(
+    folder: Path, autopilot: str, script: Script | None = None, mission: Mission | None = None, wind_m_s: float = 0.0
+) -> Flight:
+    """Fly a mission in virtual time while a script interferes."""
+    chosen = mission or mission_of(folder)
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        return runner.run(_fly(chosen, folder, autopilot, script, wind_m_s))
+
+
+async def _fly(mission: Mission, folder: Path, autopilot: str, script: Script | None, wind_m_s: float) -> Flight:
+    loop = asyncio.get_running_loop()
+    simulator = Simulator(
+        SimulatorOptions(
+            autopilot=autopilot,
+            pads_enu_m=tuple((x, y) for x, y in mission.pads_enu_m().tolist()),
+            system_ids=mission.swarm.ids(),
+            remotes=(("127.0.0.1", GROUND_PORT), ("127.0.0.1", OTHER_PORT)),
+            wind_m_s=wind_m_s,
+        )
+    )
+    setup = Setup((f"udpin:127.0.0.1:{GROUND_PORT}",), 5.0, simulated=True, stopwatch=time.perf_counter)
+    with Recorder(folder, "", loop.time(), 0.0) as recorder:
+        flight = Flight(Director(mission, setup, recorder), simulator, recorder)
+        await simulator.start()
+        beside = [asyncio.create_task(_watch_truth(flight))]
+        if script is not None:
+            beside.append(asyncio.ensure_future(script(flight)))
+        try:
+            flight.result = await asyncio.wait_for(flight.director.fly(), 300.0)
+        finally:
+            for task in beside:
+                if task.done():
+                    task.result()  # a script that failed fails the test
+                task.cancel()
+            with suppress(asyncio.CancelledError):
+                await asyncio.gather(*beside)
+            await simulator.close()
+    return flight
+
+
+async def _watch_truth(flight: Flight) -> None:
+    async for _ in ticks(asyncio.get_running_loop().time(), 0.05):
+        closest = float(pdist(flight.simulator.positions_enu_m).min())
+        flight.truth_separation_m = min(flight.truth_separation_m, closest)

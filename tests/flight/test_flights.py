@@ -1,0 +1,103 @@
+"""The flights that must hold, whole, in virtual time, in both autopilots' manners."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fg_gcs.console.cli import main
+from fg_gcs.core.coverage import flux_metric
+from tests.flight.harness import Flight, fly, mission_of
+
+MISSIONS = Path(__file__).parents[2] / "missions"
+AUTOPILOTS = ("px4", "ardupilot")
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("mission", ["paper_front", "paper_behind"])
+def test_the_papers_flights(mission: str, autopilot: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["fly", str(MISSIONS / f"{mission}.toml"), "--speed", "max", "--json"]
+    code = main([*arguments, "--autopilot", autopilot, "--logs", str(tmp_path)])
+    flown = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert code == 0
+    assert flown["completed"] is True
+    assert flown["vehicles_landed"] == 9
+    assert flown["peak_speed_m_s"] <= 10.0
+    assert flown["peak_acceleration_m_s2"] <= 5.0
+    assert flown["flown_flux_metric"] >= 0.99
+    assert flown["tracking_rms_m"] <= 0.3
+    assert flown["tracking_max_m"] <= 1.0
+    assert flown["flown_peak_speed_m_s"] <= 10.1
+    assert flown["flown_peak_acceleration_m_s2"] <= 5.25
+    assert flown["flown_min_separation_m"] >= 1.5
+    assert flown["setpoint_rate_hz"] >= 20.0
+    assert flown["bad_bytes"] == 0
+    folder = Path(flown["log"])
+    files = {"flight.tlog", "events.jsonl", "telemetry.npz", "setpoints.npz", "mission.toml", "report.html"}
+    assert files <= {path.name for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("mission", ["demo", "sitl"])
+def test_the_other_missions_fly_too(mission: str, tmp_path: Path) -> None:
+    assert main(["fly", str(MISSIONS / f"{mission}.toml"), "--speed", "max", "--logs", str(tmp_path)]) == 0
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_the_simulators_own_state_says_the_target_is_surrounded(autopilot: str, tmp_path: Path) -> None:
+    """Independent of telemetry, frames and figures: a wrong sign on the way could not cancel here."""
+    seen: list[float] = []
+
+    async def look(flight: Flight) -> None:
+        await flight.reaches("hold")
+        rim = flight.simulator.positions_enu_m[flight.director.result.plan.rim_of]  # type: ignore[union-attr] # planned
+        seen.append(float(flux_metric(rim[None], np.array([-6.0, 10.0, 12.0]))[0]))
+        await flight.reaches("home")
+        rim = flight.simulator.positions_enu_m[flight.director.result.plan.rim_of]  # type: ignore[union-attr] # planned
+        seen.append(float(flux_metric(rim[None], np.array([-6.0, 10.0, 12.0]))[0]))
+
+    flight = fly(tmp_path, autopilot, look)
+    assert flight.result is not None
+    assert flight.result.completed
+    assert min(seen) >= 0.95  # GPS origins of PX4 are off by decimetres, as the real ones are
+    assert not flight.simulator.armed.any()
+    assert flight.simulator.positions_enu_m[:, 2] == pytest.approx(np.zeros(4), abs=0.05)
+    assert flight.truth_separation_m >= 1.4
+
+
+def test_same_seed_and_mission_give_the_same_tables_byte_for_byte(tmp_path: Path) -> None:
+    mission = tmp_path / "small.toml"
+    mission_of(tmp_path)
+    (tmp_path / "mission.toml").rename(mission)
+    for name in ("one", "two"):
+        assert main(["fly", str(mission), "--speed", "max", "--logs", str(tmp_path / name)]) == 0
+    one, two = (next((tmp_path / name).iterdir()) for name in ("one", "two"))
+    for table in ("telemetry.npz", "setpoints.npz", "ticks.npz", "flight.tlog"):
+        assert (one / table).read_bytes() == (two / table).read_bytes(), table
+    assert len((one / "telemetry.npz").read_bytes()) > 10_000
+
+
+def test_a_flight_in_wind_still_comes_home(tmp_path: Path) -> None:
+    flight = fly(tmp_path, "px4", wind_m_s=5.0)
+    assert flight.result is not None
+    assert flight.result.completed, flight.result.reason
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_failsafes_are_set_for_the_flight_and_put_back_after_it(autopilot: str, tmp_path: Path) -> None:
+    name, found, wanted = {"px4": ("COM_OBL_RC_ACT", 0.0, 4.0), "ardupilot": ("FS_GCS_ENABLE", 0.0, 5.0)}[autopilot]
+    during: list[float] = []
+
+    async def look(flight: Flight) -> None:
+        await flight.reaches("hold")
+        fleet = flight.director.fleet
+        assert fleet is not None
+        during.extend(vehicle.params[name] for vehicle in fleet.vehicles)
+
+    flight = fly(tmp_path, autopilot, look)
+    assert during == [wanted] * 4
+    assert flight.director.fleet is not None
+    assert [vehicle.params[name] for vehicle in flight.director.fleet.vehicles] == [found] * 4
+    assert f"{name} = {found:g}, set to {wanted:g} for this flight" in flight.events
