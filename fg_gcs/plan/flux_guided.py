@@ -103,7 +103,7 @@ class _Search:
         return Pose(self._target + depth_m * pose.rotation[:, 0], pose.rotation)
 
     def step_bound_m(self, pose: Pose, last_m: float) -> float:
-        """Largest move of the leaders in one step, root mean square [m]: long only when the face looks at a far target."""
+        """Largest move of the leaders in one step, root mean square [m]; long when the face looks at a far target."""
         ahead = self._target - pose.centre_enu_m
         distance = float(np.linalg.norm(ahead))
         turned = float(ahead @ pose.rotation[:, 0]) > TURNED * distance

@@ -1,0 +1,164 @@
+"""The report's rotatable picture: where everybody was told to fly, and where everybody flew."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from fg_gcs.record.charts import INK, colour_of
+from fg_gcs.record.figures import PLANNED_STAGES
+from fg_gcs.record.run import Run
+from fg_gcs.record.table import Columns
+
+Array = NDArray[np.float64]
+
+POINTS_PER_PATH = 400  # straight pieces of a decimetre or so: smooth from any side
+POINTS_IN_ALL = 40_000  # half a megabyte for flown and planned paths each, however many vehicles
+TARGET_COLOUR, FACE_COLOUR, PLAN_COLOUR, PAD_COLOUR = "#c62828", "#e6a700", "#78909c", "#455a64"
+
+
+def scene(run: Run) -> go.Figure | None:
+    """Return flown and planned paths, faces, pads and target; None when there is no sample at all."""
+    ids = np.unique(run.telemetry["system_id"]).astype(int).tolist()
+    if not ids:
+        return None
+    figure = go.Figure()
+    points = min(POINTS_PER_PATH, max(50, POINTS_IN_ALL // len(ids)))
+    turn_s = next((band.begin_s for band in run.bands if band.stage == "home"), np.inf)
+    out, back = _between(run.telemetry, -np.inf, turn_s), _between(run.telemetry, turn_s, np.inf)
+    for system_id in sorted(ids, key=lambda i: run.leaders.index(i) if i in run.leaders else len(run.leaders) + i):
+        _add_flown(figure, run, system_id, along(_path_of(out, system_id), points))
+    for system_id in ids:
+        _add_return(figure, run, system_id, along(_path_of(back, system_id), points))
+    following = [band for band in run.bands if band.stage in PLANNED_STAGES]
+    span = (following[0].begin_s, following[-1].end_s) if following else (0.0, 0.0)
+    setpoints = _between(run.setpoints, *span)
+    planned = [along(_path_of(setpoints, i), points) for i in ids]
+    _add_group(
+        figure, [path for path in planned if len(path)], "planned paths", PLAN_COLOUR, {"width": 2, "dash": "dot"}
+    )
+    _add_faces(figure, run)
+    first = [_path_of(run.telemetry, i)[:1] for i in ids]
+    _add_points(figure, np.concatenate(first), "where they stood", PAD_COLOUR, "square", 3)
+    if run.target_enu_m is not None:
+        _add_points(figure, run.target_enu_m[None], "target", TARGET_COLOUR, "diamond", 7)
+    axis = {"backgroundcolor": "#f7f9fa", "gridcolor": "#d5dbe0", "showbackground": True, "zeroline": False}
+    figure.update_layout(
+        template="none",
+        height=640,
+        margin={"l": 0, "r": 0, "t": 0, "b": 0},
+        font={"family": "system-ui, sans-serif", "size": 12, "color": INK},
+        legend={"x": 1.0, "xanchor": "right", "y": 0.98, "itemsizing": "constant", "bgcolor": "rgba(255,255,255,0.8)"},
+        scene={
+            "xaxis": {"title": {"text": "east [m]"}, **axis},
+            "yaxis": {"title": {"text": "north [m]"}, **axis},
+            "zaxis": {"title": {"text": "up [m]"}, **axis},
+            "aspectmode": "data",
+            "camera": {"eye": {"x": 1.0, "y": -1.75, "z": 0.7}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}},
+        },
+    )
+    return figure
+
+
+def along(path: Array, points: int) -> Array:
+    """Return at most ``points`` samples of a path, evenly spread along its way; shape (T, 3) to (P, 3) [m]."""
+    if len(path) <= points:
+        return path
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))))
+    index = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], points)))
+    chosen: Array = path[np.minimum(index, len(path) - 1)]
+    return chosen
+
+
+def _path_of(columns: Columns, system_id: int) -> Array:
+    path: Array = columns["position_enu_m"][columns["system_id"] == system_id]
+    known: Array = path[np.isfinite(path).all(axis=1)]
+    return known
+
+
+def _between(columns: Columns, begin_s: float, end_s: float) -> Columns:
+    inside = (columns["time_s"] >= begin_s) & (columns["time_s"] < end_s)
+    return {name: column[inside] for name, column in columns.items()}
+
+
+def _add_flown(figure: go.Figure, run: Run, system_id: int, path: Array) -> None:
+    """Draw a vehicle's way up to and around the target: a leader under its own name."""
+    leads = system_id in run.leaders
+    name = f"leader {system_id}" if leads else "followers" if run.leaders else "vehicles"
+    width = 5.0 if leads else 2.5
+    _add_path(figure, path, name, _hover(system_id), {"color": colour_of(run, system_id), "width": width})
+
+
+def _add_return(figure: go.Figure, run: Run, system_id: int, path: Array) -> None:
+    """Draw a vehicle's way home, so thin that it does not hide the approach."""
+    if len(path):
+        _add_path(figure, path, "way home", _hover(system_id), {"color": colour_of(run, system_id), "width": 1.5})
+
+
+def _add_path(figure: go.Figure, path: Array, group: str, hover: str, line: dict[str, Any]) -> None:
+    """Draw a path; the legend lists its group once."""
+    listed = any(trace.legendgroup == group for trace in figure.data)
+    figure.add_trace(
+        go.Scatter3d(
+            **_xyz(path), mode="lines", line=line, name=group, legendgroup=group, showlegend=not listed,
+            hovertemplate=hover,
+        )
+    )  # fmt: skip
+
+
+def _hover(system_id: int) -> str:
+    return f"vehicle {system_id}<br>%{{x:.1f}}, %{{y:.1f}}, %{{z:.1f}} m<extra></extra>"
+
+
+def _add_group(figure: go.Figure, paths: list[Array], name: str, colour: str, line: dict[str, Any]) -> None:
+    """Draw paths that the legend shows and hides as one: a single line with gaps."""
+    if paths:
+        gap = np.full((1, 3), np.nan)
+        joined = np.concatenate([part for path in paths for part in (path, gap)])
+        figure.add_trace(
+            go.Scatter3d(**_xyz(joined), mode="lines", name=name, hoverinfo="skip", line={"color": colour, **line})
+        )
+
+
+def _add_faces(figure: go.Figure, run: Run) -> None:
+    """Draw the leaders' polygon at the approach's begin and middle and at the hold's."""
+    series, moments = run.series, []
+    if "approach" in run.stages:
+        begin_s, end_s = run.stages["approach"]
+        moments = [begin_s, (begin_s + end_s) / 2.0]
+    if "hold" in run.stages:
+        moments.append(sum(run.stages["hold"]) / 2.0)
+    if series is None or len(run.rim) < 3 or run.rim.max() >= len(series.system_ids):
+        return
+    faces = []
+    for moment in moments:
+        if series.time_s[0] <= moment <= series.time_s[-1]:
+            rim = series.position_m[np.abs(series.time_s - moment).argmin(), run.rim]
+            faces.append(np.concatenate((rim, rim[:1])))
+            count = len(rim)
+            fan = {"i": [count] * count, "j": list(range(count)), "k": [*range(1, count), 0]}
+            corners = np.concatenate((rim, rim.mean(axis=0, keepdims=True)))
+            figure.add_trace(
+                go.Mesh3d(**_xyz(corners), **fan, color=FACE_COLOUR, opacity=0.3, hoverinfo="skip", legendgroup="face")
+            )
+    _add_group(figure, faces, "face (begin, middle, hold)", FACE_COLOUR, {"width": 4})
+    if faces:
+        figure.data[-1].legendgroup = "face"
+
+
+def _add_points(figure: go.Figure, places: Array, name: str, colour: str, symbol: str, size: int) -> None:
+    figure.add_trace(
+        go.Scatter3d(
+            **_xyz(places), mode="markers", name=name,
+            marker={"color": colour, "symbol": symbol, "size": size},
+            hovertemplate=f"{name}<br>%{{x:.1f}}, %{{y:.1f}}, %{{z:.1f}} m<extra></extra>",
+        )
+    )  # fmt: skip
+
+
+def _xyz(places: Array) -> dict[str, NDArray[np.float32]]:
+    """Return coordinates as plotly takes them; single precision is a hundredth of a millimetre at 100 m."""
+    return dict(zip("xyz", places.astype(np.float32).T, strict=True))
