@@ -16,7 +16,7 @@ from pathlib import Path
 from fg_gcs.console.plan import plan_keys
 from fg_gcs.console.progress import Progress
 from fg_gcs.console.simulator import free_port, simulator_in_loop, simulator_process
-from fg_gcs.errors import FgError, MissionError
+from fg_gcs.errors import FgError, LinkError, MissionError
 from fg_gcs.flight.director import Director, Result, Setup
 from fg_gcs.link.clock import make_loop
 from fg_gcs.link.endpoint import parse_endpoint
@@ -55,7 +55,10 @@ def fly(options: Options) -> int:
     if virtual and options.endpoints:
         raise MissionError("--speed max: only the built-in simulator lives in virtual time; leave --connect out")
     for endpoint in options.endpoints:
-        parse_endpoint(endpoint)
+        try:
+            parse_endpoint(endpoint)
+        except LinkError as error:
+            raise MissionError(f"--connect: {error}") from error
     try:
         folder = make_folder(options.logs, options.mission.stem, datetime.now())
     except OSError as error:
@@ -124,7 +127,7 @@ def _summary(mission: Mission, options: Options, result: Result, recorder: Recor
     """The run's figures by the names of the command line's JSON."""
     summary: dict[str, object] = {"mission": str(options.mission)}
     if result.plan is not None:
-        summary |= plan_keys(str(options.mission), mission, result.plan)
+        summary |= plan_keys(str(options.mission), result.system_ids, result.plan)
     rim = [] if result.plan is None else result.plan.rim_of.tolist()
     limits = None if result.task is None else result.task.rules.limits
     counters = result.counters

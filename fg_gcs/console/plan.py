@@ -30,7 +30,7 @@ def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
             made = compile_flight(mission.task(), mission.tops_enu_m(), time.perf_counter)
         except PlanError as error:
             raise PlanError(f"{path}: {error}") from error
-        keys = plan_keys(str(path), mission, made)
+        keys = plan_keys(str(path), mission.swarm.ids(), made)
         print(_words(str(path), mission, made), file=sys.stderr)
         if as_json:
             print(json.dumps(plain(keys)), flush=True)
@@ -75,10 +75,9 @@ def report(folder: Path) -> int:
     return 0
 
 
-def plan_keys(name: str, mission: Mission, made: FlightPlan) -> dict[str, object]:
+def plan_keys(name: str, system_ids: Sequence[int], made: FlightPlan) -> dict[str, object]:
     """Return a plan's figures by the names of the command line's JSON; peaks and separation are the whole flight's."""
     first, second = made.separation.pair
-    ids = mission.swarm.ids()
     return {
         "mission": name,
         "planner": "flux_guided",
@@ -91,7 +90,7 @@ def plan_keys(name: str, mission: Mission, made: FlightPlan) -> dict[str, object
         "peak_speed_m_s": made.peaks.speed_m_s,
         "peak_acceleration_m_s2": made.peaks.acceleration_m_s2,
         "min_separation_m": made.separation.distance_m,
-        "min_separation_pair": [ids[first], ids[second]],
+        "min_separation_pair": [system_ids[first], system_ids[second]],
     }
 
 

@@ -24,7 +24,7 @@ MOST_LINES = 24  # vehicles shown one by one; more do not fit a terminal
 SHOWN = {  # kinds of events for people, with their colours; the rest is for the log
     "simulator": "dim",
     "open": "dim",
-    "found": "green",
+    "vehicles": "green",
     "ready": "green",
     "limit": "yellow",
     "failsafe": "dim",
@@ -87,14 +87,16 @@ class Progress:
         self._console.print(grid)
 
     def _picture(self, director: Director, now_s: float) -> Group:
-        stage, ends_s = director.journal.stage, director.journal.stage_ends_s
-        number = STAGES.index(stage)
-        left = f", {max(0.0, ends_s - now_s):.0f} s left" if ends_s is not None else ""
-        head = Text.assemble((f"{stage}", "bold cyan"), f"  stage {number + 1} of {len(STAGES)}{left}")
-        parts: list[Text | ProgressBar | Table] = [head, ProgressBar(len(STAGES), number + 1, width=60)]
-        if director.fleet is not None:
-            parts.append(_vehicles(director.fleet.vehicles))
-        return Group(*parts)
+        journal = director.journal
+        number, share, left = STAGES.index(journal.stage), 0.0, ""
+        if journal.stage_ends_s is not None:
+            left_s = max(0.0, journal.stage_ends_s - now_s)
+            share = 1.0 - left_s / max(journal.stage_ends_s - journal.stage_begins_s, left_s, 1e-3)
+            left = f"{left_s:.0f} s left"
+        head = Table.grid(padding=(0, 2))
+        name = Text(f"{journal.stage} ({number + 1} of {len(STAGES)})", "bold cyan")
+        head.add_row(name, ProgressBar(len(STAGES), number + share, width=50), left)
+        return Group(head, _vehicles(director.fleet.vehicles) if director.fleet else Text(""))
 
 
 def _vehicles(vehicles: tuple[Vehicle, ...]) -> Table:

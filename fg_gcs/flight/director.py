@@ -43,6 +43,7 @@ class Result:
     stages: dict[str, tuple[float, float]] = field(default_factory=dict)  # begin and end since the run's start [s]
     plan: FlightPlan | None = None
     task: Task | None = None  # as planned: under the limits that the vehicles really have
+    system_ids: tuple[int, ...] = ()  # of the vehicles that took part, ascending
     vehicles_landed: int = 0
     lost: tuple[int, ...] = ()  # system ids that fell silent and did not come back
     late_ticks: int = 0
@@ -142,8 +143,9 @@ class Director:
             wanted = swarm.ids() if swarm.system_ids or self._setup.simulated else None
             found = await discover(router, self._setup.endpoints, swarm.vehicles, wanted, self._setup.wait_s)
             self.fleet = Fleet(router, found)
+            self.result.system_ids = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.manners.name for vehicle in found})
-            self.journal.event("found", f"vehicles {names(self.fleet.row_of)} ({', '.join(kinds)})")
+            self.journal.event("vehicles", f"vehicles {names(self.fleet.row_of)} ({', '.join(kinds)})")
         return self.fleet
 
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:

@@ -19,6 +19,7 @@ class Journal:
     Attributes:
         stage: the present stage.
         stages: begin and end of every stage so far, since the run's start [s].
+        stage_begins_s: the loop's time at which the present stage began.
         stage_ends_s: the loop's time at which the present stage should end, where that is known.
     """
 
@@ -29,6 +30,7 @@ class Journal:
         self.stages: dict[str, tuple[float, float]] = {}
         self.stage_ends_s: float | None = None
         self._time = asyncio.get_running_loop().time
+        self.stage_begins_s = self._time()
 
     def event(self, kind: str, text: str, **data: object) -> None:
         """Write down what happened now."""
@@ -37,7 +39,7 @@ class Journal:
     @contextmanager
     def in_stage(self, stage: str) -> Iterator[None]:
         """Mark what runs inside as one stage of the flight."""
-        self.stage, self.stage_ends_s = stage, None
+        self.stage, self.stage_begins_s, self.stage_ends_s = stage, self._time(), None
         begin_s = self.recorder.since_start_s(self._time())
         self.event("stage", stage, stage=stage)
         try:

@@ -177,7 +177,8 @@ class Failsafes:
                     groups.setdefault((failsafe.name, found, to, failsafe.reason), []).append(vehicle.system_id)
         for (name, found, to, reason), ids in groups.items():
             change = "" if to is None else f", set to {to:g} for this flight"
-            self._recorder.event(now_s, "failsafe", f"{name} = {found:g}{change} ({reason}) on vehicles {names(ids)}")
+            kind = "found" if to is None else "failsafe"
+            self._recorder.event(now_s, kind, f"{name} = {found:g}{change} on vehicles {names(ids)} ({reason})")
 
 
 def _to_change(vehicle: Vehicle, failsafe: FailsafeParameter) -> bool:

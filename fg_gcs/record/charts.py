@@ -138,14 +138,15 @@ def _chart(run: Run, title: str, height: int = 330) -> go.Figure:
                 type="line", xref="x", yref="paper", x0=event.time_s, x1=event.time_s, y0=0, y1=1,
                 line={"color": FAULT_COLOUR, "width": 1.5, "dash": "dot"},
             )  # fmt: skip
-            chart.add_annotation(_label(event.time_s, event.kind, FAULT_COLOUR) | {"y": 0.99, "yanchor": "top"})
+            beside = {"y": 0.99, "yanchor": "top", "xanchor": "left", "xshift": 2}
+            chart.add_annotation(_label(event.time_s, event.kind, FAULT_COLOUR) | beside)
     chart.update_layout(
         template="none",
         height=height,
         margin=MARGIN,
         font={"family": "system-ui, sans-serif", "size": 12, "color": INK},
         hovermode="closest",
-        legend={"x": 1.01, "y": 1, "yanchor": "top", "itemsizing": "constant"},
+        legend={"x": 1.01, "y": 1, "yanchor": "top", "tracegroupgap": 0, "itemsizing": "constant"},
         plot_bgcolor="#ffffff",
     )
     chart.update_xaxes(

@@ -41,8 +41,8 @@ def scene(run: Run) -> go.Figure | None:
         figure, [path for path in planned if len(path)], "planned paths", PLAN_COLOUR, {"width": 2, "dash": "dot"}
     )
     _add_faces(figure, run)
-    first = [_path_of(run.telemetry, i)[:1] for i in ids]
-    _add_points(figure, np.concatenate(first), "where they stood", PAD_COLOUR, "square", 3)
+    pads = np.concatenate([_path_of(run.telemetry, i)[:1] for i in ids])
+    _add_points(figure, pads, "where they stood", PAD_COLOUR, "square", 3)
     if run.target_enu_m is not None:
         _add_points(figure, run.target_enu_m[None], "target", TARGET_COLOUR, "diamond", 7)
     axis = {"backgroundcolor": "#f7f9fa", "gridcolor": "#d5dbe0", "showbackground": True, "zeroline": False}
@@ -51,13 +51,20 @@ def scene(run: Run) -> go.Figure | None:
         height=640,
         margin={"l": 0, "r": 0, "t": 0, "b": 0},
         font={"family": "system-ui, sans-serif", "size": 12, "color": INK},
-        legend={"x": 1.0, "xanchor": "right", "y": 0.98, "itemsizing": "constant", "bgcolor": "rgba(255,255,255,0.8)"},
+        legend={
+            "x": 1.0,
+            "xanchor": "right",
+            "y": 0.94,
+            "tracegroupgap": 0,
+            "itemsizing": "constant",
+            "bgcolor": "rgba(255,255,255,0.8)",
+        },
         scene={
             "xaxis": {"title": {"text": "east [m]"}, **axis},
             "yaxis": {"title": {"text": "north [m]"}, **axis},
             "zaxis": {"title": {"text": "up [m]"}, **axis},
             "aspectmode": "data",
-            "camera": {"eye": {"x": 1.0, "y": -1.75, "z": 0.7}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}},
+            "camera": {"eye": _eye(pads, run.target_enu_m), "center": {"x": 0.0, "y": 0.0, "z": -0.1}},
         },
     )
     return figure
@@ -71,6 +78,13 @@ def along(path: Array, points: int) -> Array:
     index = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], points)))
     chosen: Array = path[np.minimum(index, len(path) - 1)]
     return chosen
+
+
+def _eye(pads: Array, target_enu_m: Array | None) -> dict[str, float]:
+    """Return where to look from: from the right of the way to the target and a little behind, so that faces show."""
+    way = np.array([0.0, 1.0, 0.0]) if target_enu_m is None or not len(pads) else target_enu_m - pads.mean(axis=0)
+    bearing = float(np.arctan2(way[1], way[0])) - np.deg2rad(120.0)
+    return {"x": 2.0 * float(np.cos(bearing)), "y": 2.0 * float(np.sin(bearing)), "z": 0.7}
 
 
 def _path_of(columns: Columns, system_id: int) -> Array:
