@@ -7,8 +7,9 @@ import os
 import signal
 import stat
 import sys
+from dataclasses import asdict
 
-from sitl_mock.server import PortUnavailable, Simulator, SimulatorOptions
+from sitl_mock.server import Counters, PortUnavailable, Simulator, SimulatorOptions
 
 PORT_UNAVAILABLE = 2  # exit code
 CHUNK_BYTES = 4096
@@ -43,6 +44,7 @@ async def _simulate(options: SimulatorOptions, with_parent: bool) -> int:
         if watcher is not None:
             watcher.cancel()
         await simulator.close()
+        sys.stderr.write(closing_line(simulator.counters))
     return 0
 
 
@@ -52,6 +54,12 @@ def ready_line(simulator: Simulator) -> str:
     in_a_row = ports == tuple(range(ports[0], ports[0] + len(ports)))
     span = f"{ports[0]}-{ports[-1]}" if in_a_row else ",".join(map(str, ports))
     return f"ready vehicles={len(ports)} autopilot={options.autopilot} ports={span}"
+
+
+def closing_line(counters: Counters) -> str:
+    """What went wrong on the way, for people; empty when nothing did."""
+    found = [f"{name}={value:g}" for name, value in asdict(counters).items() if value]
+    return f"sitl_mock: dropped or late: {' '.join(found)}\n" if found else ""
 
 
 async def _watch_parent(ended: asyncio.Event) -> None:

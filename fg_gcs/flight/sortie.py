@@ -215,7 +215,9 @@ class Sortie:
         await asyncio.sleep(brake.end_s - self._time())
         rows = self._obeying()
         places = brake.at(self._time()).position_m[[list(brake.rows).index(row) for row in rows]]
-        way = plan_home(places, self._tops_m[rows], self._task)
+        others = [row for row, v in enumerate(self._fleet.vehicles) if row not in rows and v.armed]
+        in_the_way = self._fleet.positions_enu_m()[others]  # lost or taken: as far as known, they stay where they are
+        way = plan_home(places, self._tops_m[rows], self._task, in_the_way)
         await self._go_home(rows, check(way.pieces, self._task.rules, self._task.target_enu_m))
 
     def _obeying(self) -> list[int]:

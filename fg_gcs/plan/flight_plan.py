@@ -17,7 +17,7 @@ from fg_gcs.plan.flux_guided import FluxPath, plan_path
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.paths import PosePath
 from fg_gcs.plan.trajectory import CheckedPlan, Peaks, check, timed
-from fg_gcs.plan.transit import Transit, gather, scatter
+from fg_gcs.plan.transit import NOTHING, Transit, gather, scatter
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -109,13 +109,15 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
     )
 
 
-def plan_home(position_enu_m: Array, tops_enu_m: Array, task: Task) -> Transit:
+def plan_home(position_enu_m: Array, tops_enu_m: Array, task: Task, obstacles_m: Array = NOTHING) -> Transit:
     """Return the way from anywhere to the places above the pads, shapes (V, 3) and (V, 3) [m].
+
+    Obstacles stand still, shape (O, 3) [m].
 
     Raises:
         PlanError: no collision-free lines lead there.
     """
-    return scatter(position_enu_m, tops_enu_m, task.rules.separation_m, task.rules.limits)
+    return scatter(position_enu_m, tops_enu_m, task.rules.separation_m, task.rules.limits, obstacles_m)
 
 
 def _figures(task: Task, path: FluxPath, approach: CheckedPlan, rim: Indices) -> ApproachFigures:

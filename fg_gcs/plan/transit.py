@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from fg_gcs.core.separation import closest_approach
+from fg_gcs.core.separation import Separation, closest_approach
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.limits import Limits
 from fg_gcs.plan.paths import LinePath
@@ -28,6 +28,7 @@ Indices = NDArray[np.intp]
 
 CLEARANCE = 1.2  # lines are planned this many times wider than the minimum: room for tracking errors in flight
 OPENINGS = np.arange(1.0, 4.01, 0.1)  # factors tried; beyond four the pads, not the formation, are too tight
+NOTHING: Array = np.empty((0, 3))
 SAME_PLACE_M = 1e-3  # a move shorter than this is none
 
 
@@ -49,32 +50,51 @@ def gather(start_m: Array, slots_m: Array, separation_m: float, limits: Limits) 
     return Transit(_lines((start_m, wide[slot_of], ends), limits), slot_of)
 
 
-def scatter(formation_m: Array, goals_m: Array, separation_m: float, limits: Limits) -> Transit:
+def scatter(
+    formation_m: Array, goals_m: Array, separation_m: float, limits: Limits, obstacles_m: Array = NOTHING
+) -> Transit:
     """Return the way from a formation to scattered places, shapes (V, 3) and (V, 3) [m; ENU].
+
+    Args:
+        formation_m: where everybody is.
+        goals_m: where to go; who goes where is chosen here.
+        separation_m: least distance of any pair.
+        limits: of every vehicle.
+        obstacles_m: what stands still and is kept away from, shape (O, 3) [m].
 
     Raises:
         PlanError: no opening of the formation makes the lines collision-free.
     """
-    vehicle_of, wide = _open_out(formation_m, goals_m, separation_m)
+    vehicle_of, wide = _open_out(formation_m, goals_m, separation_m, obstacles_m)
     goal_of = np.argsort(vehicle_of)
     return Transit(_lines((formation_m, wide, goals_m[goal_of]), limits), goal_of)
 
 
-def _open_out(formation_m: Array, places_m: Array, separation_m: float) -> tuple[Indices, Array]:
+def _open_out(
+    formation_m: Array, places_m: Array, separation_m: float, obstacles_m: Array = NOTHING
+) -> tuple[Indices, Array]:
     """Return which formation member each place belongs to, and the formation opened as far as the lines need."""
     centre = formation_m.mean(axis=0)
     needed_m = CLEARANCE * separation_m
     for opening in OPENINGS:
         wide = centre + opening * (formation_m - centre)
         _, member_of = linear_sum_assignment(cdist(places_m, wide, "sqeuclidean"))
-        lines = np.stack((places_m, wide[member_of]))
-        if len(places_m) < 2 or not closest_approach(lines, np.array([0.0, 1.0])).violates(needed_m):
+        far = _closest(places_m, wide[member_of], obstacles_m)
+        near = _closest(wide, formation_m, obstacles_m)  # opening parts every pair, but may run into an obstacle
+        if not (far.violates(needed_m) or near.violates(separation_m)):
             return member_of, wide
-    worst = closest_approach(lines, np.array([0.0, 1.0]))
     raise PlanError(
-        f"no straight lines between pads and formation keep {needed_m:.2f} m apart (best {worst.distance_m:.2f} m, "
-        f"vehicles {worst.pair[0] + 1} and {worst.pair[1] + 1}); place the pads or the slots further apart"
+        f"no straight lines between pads and formation keep {needed_m:.2f} m apart (with the widest opening they come "
+        f"within {min(far, near).distance_m:.2f} m); place the pads or the slots further apart"
     )
+
+
+def _closest(start_m: Array, end_m: Array, obstacles_m: Array) -> Separation:
+    """Closest approach of vehicles that fly straight and in step, and of them and what stands still."""
+    moves = np.stack((np.concatenate((start_m, obstacles_m)), np.concatenate((end_m, obstacles_m))))
+    if moves.shape[1] < 2:
+        return Separation(np.inf, 0.0, (0, 0))
+    return closest_approach(moves, np.array([0.0, 1.0]))
 
 
 def _lines(places: tuple[Array, ...], limits: Limits) -> tuple[Trajectory, ...]:

@@ -25,7 +25,7 @@ BAND_COLOURS = {
 }
 NARROWEST_LABEL = 0.045  # share of the width; a stage's name does not fit a narrower band
 POINTS_PER_LINE = 1500  # more than the pixels of a screen's width
-POINTS_PER_CHART = 60_000  # half a megabyte a chart, however many vehicles
+POINTS_PER_CHART = 40_000  # under half a megabyte a chart, however many vehicles
 MARGIN = {"l": 64, "r": 150, "t": 26, "b": 42}  # the same everywhere, so that the time axes stand below each other
 
 

@@ -9,7 +9,6 @@ from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +88,7 @@ class Run:
         """The stages in the air, in the order in which they were flown."""
         marks = [event for event in self.events if event.kind in ("stage", "abort")]
         last_s = max((end for _, end in self.stages.values()), default=0.0)
-        ends = [mark.time_s for mark in marks[1:]] + [last_s]
+        ends = [*(mark.time_s for mark in marks), last_s][1:]
         return tuple(
             Band(mark.text, mark.time_s, max(mark.time_s, end_s))
             for mark, end_s in zip(marks, ends, strict=True)
@@ -132,10 +131,7 @@ def load_run(folder: Path) -> Run:
     except ValueError:
         begun = None
     name = folder.name[STAMP_LENGTH + 1 :] if begun is not None else folder.name
-    try:
-        tables = [load(folder / f"{table}.npz") for table in ("telemetry", "setpoints", "ticks")]
-    except (BadZipFile, EOFError) as error:
-        raise ValueError(f"a table is damaged: {error}") from error
+    tables = [load(folder / f"{table}.npz") for table in ("telemetry", "setpoints", "ticks")]
     lines = (folder / EVENTS).read_text(errors="replace").splitlines()
     return Run(name or folder.name, begun, mission, summary, _events(lines), *tables)
 

@@ -16,7 +16,8 @@ from fg_gcs.record.table import Columns
 Array = NDArray[np.float64]
 
 POINTS_PER_PATH = 400  # straight pieces of a decimetre or so: smooth from any side
-POINTS_IN_ALL = 40_000  # half a megabyte for flown and planned paths each, however many vehicles
+POINTS_IN_ALL = 25_000  # under half a megabyte each for the ways out, the ways home and the plans
+FLATTEST = 0.2  # shortest axis against the longest: room enough for its labels
 TARGET_COLOUR, FACE_COLOUR, PLAN_COLOUR, PAD_COLOUR = "#c62828", "#e6a700", "#78909c", "#455a64"
 
 
@@ -45,7 +46,9 @@ def scene(run: Run) -> go.Figure | None:
     _add_points(figure, pads, "where they stood", PAD_COLOUR, "square", 3)
     if run.target_enu_m is not None:
         _add_points(figure, run.target_enu_m[None], "target", TARGET_COLOUR, "diamond", 7)
-    axis = {"backgroundcolor": "#f7f9fa", "gridcolor": "#d5dbe0", "showbackground": True, "zeroline": False}
+    places = np.concatenate([_path_of(run.telemetry, i) for i in ids])
+    if run.target_enu_m is not None:
+        places = np.concatenate((places, run.target_enu_m[None]))
     figure.update_layout(
         template="none",
         height=640,
@@ -59,13 +62,7 @@ def scene(run: Run) -> go.Figure | None:
             "itemsizing": "constant",
             "bgcolor": "rgba(255,255,255,0.8)",
         },
-        scene={
-            "xaxis": {"title": {"text": "east [m]"}, **axis},
-            "yaxis": {"title": {"text": "north [m]"}, **axis},
-            "zaxis": {"title": {"text": "up [m]"}, **axis},
-            "aspectmode": "data",
-            "camera": {"eye": _eye(pads, run.target_enu_m), "center": {"x": 0.0, "y": 0.0, "z": -0.1}},
-        },
+        scene=_view(places) | {"camera": {"eye": _eye(pads, run.target_enu_m), "center": {"x": 0, "y": 0, "z": -0.1}}},
     )
     return figure
 
@@ -78,6 +75,21 @@ def along(path: Array, points: int) -> Array:
     index = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], points)))
     chosen: Array = path[np.minimum(index, len(path) - 1)]
     return chosen
+
+
+def _view(places: Array) -> dict[str, Any]:
+    """Return axes of equal scale around all places; the longest is 1.5 long, however flat or long the flight."""
+    if not len(places):
+        places = np.zeros((1, 3))
+    low, high = places.min(axis=0), places.max(axis=0)
+    longest = max(float((high - low).max()), 1.0)
+    spans = np.maximum(1.06 * (high - low), FLATTEST * longest)
+    begins = (low + high - spans) / 2.0
+    look = {"backgroundcolor": "#f7f9fa", "gridcolor": "#d5dbe0", "showbackground": True, "zeroline": False}
+    view: dict[str, Any] = {"aspectmode": "manual", "aspectratio": dict(zip("xyz", 1.5 * spans / longest, strict=True))}
+    for axis, title, begin, span in zip("xyz", ("east", "north", "up"), begins, spans, strict=True):
+        view[f"{axis}axis"] = {"title": {"text": f"{title} [m]"}, "range": [begin, begin + span], **look}
+    return view
 
 
 def _eye(pads: Array, target_enu_m: Array | None) -> dict[str, float]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import zlib
 from array import array
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,5 +68,8 @@ def load(path: Path) -> dict[str, Array]:
         OSError: the file cannot be read.
         ValueError: it is not such a table.
     """
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+    try:
+        with path.open("rb") as file, np.lib.npyio.NpzFile(file, own_fid=False, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (BadZipFile, EOFError, zlib.error) as error:
+        raise ValueError(f"{path}: damaged: {error}") from error
