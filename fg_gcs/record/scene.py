@@ -78,7 +78,7 @@ def along(path: Array, points: int) -> Array:
 
 
 def _view(places: Array) -> dict[str, Any]:
-    """Return axes of equal scale around all places; the longest is 1.5 long, however flat or long the flight."""
+    """Return axes of equal scale around all places; the longest is 1.2 long, however flat or long the flight."""
     if not len(places):
         places = np.zeros((1, 3))
     low, high = places.min(axis=0), places.max(axis=0)
@@ -86,7 +86,7 @@ def _view(places: Array) -> dict[str, Any]:
     spans = np.maximum(1.06 * (high - low), FLATTEST * longest)
     begins = (low + high - spans) / 2.0
     look = {"backgroundcolor": "#f7f9fa", "gridcolor": "#d5dbe0", "showbackground": True, "zeroline": False}
-    view: dict[str, Any] = {"aspectmode": "manual", "aspectratio": dict(zip("xyz", 1.5 * spans / longest, strict=True))}
+    view: dict[str, Any] = {"aspectmode": "manual", "aspectratio": dict(zip("xyz", 1.2 * spans / longest, strict=True))}
     for axis, title, begin, span in zip("xyz", ("east", "north", "up"), begins, spans, strict=True):
         view[f"{axis}axis"] = {"title": {"text": f"{title} [m]"}, "range": [begin, begin + span], **look}
     return view

@@ -1,0 +1,139 @@
+import numpy as np
+import pytest
+
+from fg_gcs.core.coverage import flux_metric
+from fg_gcs.record.figures import figures, flown
+from fg_gcs.record.table import SETPOINTS, TELEMETRY, TICKS, Columns, Table
+from tests.record.flights import STAGES, TARGET, Circle, columns_of, empty, instants
+
+RIM = np.arange(4.0)
+NAMES = {
+    "flown_flux_metric",
+    "flown_peak_speed_m_s",
+    "flown_peak_acceleration_m_s2",
+    "flown_min_separation_m",
+    "tracking_rms_m",
+    "tracking_max_m",
+    "setpoint_rate_hz",
+    "setpoint_late_p99_ms",
+}
+
+
+def measured(telemetry: Columns, setpoints: Columns, ticks: Columns, rim: object = RIM) -> dict[str, float | None]:
+    series = flown(telemetry, setpoints, STAGES, np.asarray(rim, dtype=float), np.array(TARGET))
+    return figures(series, ticks, setpoints, STAGES)
+
+
+@pytest.mark.parametrize("circle", [Circle(), Circle(7, 6.0, 1.2), Circle(4, 2.0, 0.3)])
+@pytest.mark.parametrize("rate_hz", [20.0, 50.0])
+def test_circles_have_the_figures_of_circles(circle: Circle, rate_hz: float) -> None:
+    found = measured(*columns_of(circle, rate_hz, offset_m=0.25), rim=np.arange(circle.vehicles))
+    assert found.keys() == NAMES
+    assert found["flown_peak_speed_m_s"] == pytest.approx(circle.speed_m_s)
+    # The mean over 0.1 s of a turning acceleration is smaller by (w t)^2 / 24, 0.06 % at 1.2 rad/s
+    assert found["flown_peak_acceleration_m_s2"] == pytest.approx(circle.acceleration_m_s2, rel=1e-3)
+    # Between the common instants a chord lies inside its arc by (w t)^2 / 8, 0.05 % at 20 Hz
+    assert found["flown_min_separation_m"] == pytest.approx(circle.separation_m, rel=1e-3)
+    assert found["tracking_rms_m"] == pytest.approx(0.25)
+    assert found["tracking_max_m"] == pytest.approx(0.25)
+    assert found["flown_flux_metric"] == pytest.approx(1.0)  # the target lies in the plane of the face
+    assert found["setpoint_rate_hz"] == pytest.approx(rate_hz)
+    assert found["setpoint_late_p99_ms"] == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_accelerations_survive_clocks_that_cut_off_their_milliseconds(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    circle = Circle(rate_rad_s=1.0)
+    time_s = np.cumsum(random.uniform(0.005, 0.03, size=600)) + 0.5
+    boot_s = np.floor((time_s + 12.3456) * 1e3) / 1e3
+    telemetry = circle.telemetry(time_s, boot_s).columns()
+    series = flown(telemetry, empty(SETPOINTS), STAGES, RIM, np.array(TARGET))
+    assert series is not None
+    for acceleration in series.acceleration_m_s2:
+        known = acceleration[np.isfinite(acceleration)]
+        assert len(known) > 580
+        assert known == pytest.approx(circle.acceleration_m_s2, rel=0.02)
+
+
+def test_two_vehicles_that_pass_between_two_samples() -> None:
+    telemetry = Table(TELEMETRY)
+    for now_s in np.arange(-0.75, 1.0, 0.5).tolist():  # never sampled where they pass, at 0
+        for system_id, side in ((1, 1.0), (2, -1.0)):
+            place = (side * 4.0 * now_s, side * 0.6, 10.0)
+            telemetry.append((now_s, system_id, *place, side * 4.0, 0.0, 0.0, 0.0, now_s, 10.0))
+    found = measured(telemetry.columns(), empty(SETPOINTS), empty(TICKS), rim=[])
+    assert found["flown_min_separation_m"] == pytest.approx(1.2)
+    assert found["flown_flux_metric"] is None or np.isnan(found["flown_flux_metric"])
+
+
+def test_errors_count_in_planned_stages_only() -> None:
+    telemetry, setpoints, _ = columns_of(Circle())
+    outside = (setpoints["time_s"] < STAGES["gather"][0] - 0.1) | (setpoints["time_s"] > STAGES["home"][1] + 0.1)
+    setpoints["position_enu_m"][outside] += 100.0  # on the ground, and while landing, setpoints mean nothing
+    series = flown(telemetry, setpoints, STAGES, RIM, np.array(TARGET))
+    assert series is not None
+    for time_s, error in zip(series.own_time_s, series.error_m, strict=True):
+        planned = (time_s >= STAGES["gather"][0]) & (time_s <= STAGES["home"][1])
+        assert np.array_equal(np.isfinite(error), planned)
+        assert error[planned] == pytest.approx(0.25)
+
+
+def test_peaks_on_the_ground_do_not_count() -> None:
+    telemetry, setpoints, ticks = columns_of(Circle())
+    telemetry["velocity_enu_m_s"][100] = (90.0, 0.0, 0.0)
+    telemetry["height_m"][95:110] = 0.1
+    found = measured(telemetry, setpoints, ticks)
+    assert found["flown_peak_speed_m_s"] == pytest.approx(Circle().speed_m_s)
+    assert found["flown_peak_acceleration_m_s2"] == pytest.approx(Circle().acceleration_m_s2, rel=1e-3)
+
+
+def test_the_metric_is_that_of_the_leaders_in_their_order() -> None:
+    telemetry, setpoints, _ = columns_of(Circle(8))
+    rim = np.array([6.0, 0.0, 2.0, 4.0])
+    away = np.array(TARGET) + np.array([9.0, 0.0, 0.0])
+    series = flown(telemetry, setpoints, STAGES, rim, away)
+    assert series is not None
+    assert series.flux_metric == pytest.approx(flux_metric(series.position_m[:, rim.astype(int)], away))
+    assert 0.0 < series.flux_metric.min() < 0.5
+    assert series.coverage == pytest.approx(1.0)  # right in front of the face
+    behind = flown(telemetry, setpoints, STAGES, rim[::-1], away)
+    assert behind is not None
+    assert behind.coverage.max() == 0.0
+
+
+def test_the_slowest_vehicle_counts_for_the_rate() -> None:
+    setpoints = Table(SETPOINTS)
+    for k in range(101):
+        for system_id in (1, 2, 3)[: 3 if k % 4 == 0 else 2]:
+            setpoints.append((k * 0.02, system_id, *[0.0] * 10))
+    assert measured(empty(TELEMETRY), setpoints.columns(), empty(TICKS))["setpoint_rate_hz"] == pytest.approx(12.5)
+
+
+def test_nothing_to_measure() -> None:
+    found = measured(empty(TELEMETRY), empty(SETPOINTS), empty(TICKS), rim=[])
+    assert found == dict.fromkeys(NAMES)
+
+
+def test_vehicles_that_share_no_time_make_no_series() -> None:
+    telemetry = Table(TELEMETRY)
+    for system_id, times in ((1, (0.0, 1.0)), (2, (2.0, 3.0))):
+        for now_s in times:
+            telemetry.append((now_s, system_id, *[0.0] * 9))
+    assert flown(telemetry.columns(), empty(SETPOINTS), STAGES, RIM, np.array(TARGET)) is None
+
+
+def test_a_vehicle_lost_on_the_way_ends_the_common_series_but_not_the_others_own() -> None:
+    telemetry, setpoints, _ = columns_of(Circle())
+    kept = (telemetry["system_id"] != 3) | (telemetry["time_s"] < 6.0)
+    cut = {name: column[kept] for name, column in telemetry.items()}
+    series = flown(cut, setpoints, STAGES, RIM, np.array(TARGET))
+    assert series is not None
+    assert series.time_s[-1] < 6.0
+    assert [times[-1] > 15.0 for times in series.own_time_s] == [True, True, False, True, True]
+    assert series.separation_m == pytest.approx(Circle().separation_m, rel=1e-3)
+
+
+def test_instants_lie_inside_every_stage() -> None:
+    assert instants()[0] <= STAGES["take-off"][0]
+    assert instants()[-1] > STAGES["home"][1]

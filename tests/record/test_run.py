@@ -1,0 +1,106 @@
+import json
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fg_gcs.record.recorder import EVENTS, MISSION, SUMMARY
+from fg_gcs.record.run import IN_FLIGHT, load_run
+from tests.record.flights import STAGES, TARGET, write_run
+
+NAME = "2026-02-03T04-05-06-circle"
+
+
+def test_a_run_comes_back(tmp_path: Path) -> None:
+    run = load_run(write_run(tmp_path / NAME))
+    assert (run.name, run.begun) == ("circle", datetime(2026, 2, 3, 4, 5, 6))
+    assert run.mission is not None
+    assert run.mission.stream.rate_hz == 40.0
+    assert run.stages == STAGES
+    assert run.leaders == (1, 2, 3, 4)
+    assert run.target_enu_m is not None
+    assert run.target_enu_m.tolist() == list(TARGET)
+    assert [band.stage for band in run.bands] == list(IN_FLIGHT)
+    assert [(band.begin_s, band.end_s) for band in run.bands] == [STAGES[stage] for stage in IN_FLIGHT]
+    assert run.span_s == (0.5, 16.0)
+    assert run.number("late_ticks") == 3.0
+    assert run.number("completed") is None  # a yes is no number
+    assert run.number("never heard of") is None
+    assert run.limit("descent_m_s") == 1.5
+    assert run.limit("climb_m_s") is None
+    assert run.series is not None
+    assert run.series.position_m.shape[1:] == (5, 3)
+
+
+def test_a_renamed_folder_has_no_time(tmp_path: Path) -> None:
+    run = load_run(write_run(tmp_path / "best flight ever"))
+    assert (run.name, run.begun) == ("best flight ever", None)
+
+
+def test_a_stage_flown_twice_ends_the_first_time_where_the_flight_was_aborted(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / NAME)
+    events = [(0.5, "take-off"), (4.0, "home"), (5.0, None), (6.0, "home"), (14.0, "land")]
+    lines = [
+        {"time_s": time_s, "kind": "abort" if stage is None else "stage", "text": stage or "aborting: a fault"}
+        for time_s, stage in events
+    ]
+    (folder / EVENTS).write_text("\n".join(json.dumps(line) for line in lines) + "\n")
+    bands = load_run(folder).bands
+    wanted = [("take-off", 0.5, 4.0), ("home", 4.0, 5.0), ("home", 6.0, 14.0), ("land", 14.0, 16.0)]
+    assert [tuple(band) for band in bands] == wanted
+
+
+@pytest.mark.parametrize("line", ["", "{", '{"kind": "text"}', "[1]", '"x"', '{"time_s": "?", "kind": 1, "text": 2}'])
+def test_lines_that_are_no_events_are_passed_over(tmp_path: Path, line: str) -> None:
+    folder = write_run(tmp_path / NAME)
+    whole = (folder / EVENTS).read_text()
+    events = load_run(folder).events
+    (folder / EVENTS).write_text(f"{line}\n{whole}{line}")
+    assert load_run(folder).events == events
+    assert len(events) == whole.count("\n")
+
+
+def test_a_run_without_flight_or_plan(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / NAME, flown=False)
+    (folder / SUMMARY).write_text("{}")
+    (folder / EVENTS).write_text("")
+    run = load_run(folder)
+    assert run.series is None
+    assert (run.bands, run.leaders, run.stages, run.target_enu_m) == ((), (), {}, None)
+    assert run.limit("speed_m_s") is None
+    assert run.span_s[0] < run.span_s[1]
+
+
+def test_a_mission_of_another_day_is_left_out(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / NAME)
+    (folder / MISSION).write_text("[swarm]\nrockets = 3\n")
+    assert load_run(folder).mission is None
+
+
+@pytest.mark.parametrize("damage", [b"", b"no archive", b"PK\x03\x04 cut off"])
+def test_damaged_tables_are_refused(tmp_path: Path, damage: bytes) -> None:
+    folder = write_run(tmp_path / NAME)
+    (folder / "telemetry.npz").write_bytes(damage)
+    with pytest.raises(ValueError, match=r".+"):
+        load_run(folder)
+
+
+@pytest.mark.parametrize("summary", ["", "[1]", "{"])
+def test_damaged_summaries_are_refused(tmp_path: Path, summary: str) -> None:
+    folder = write_run(tmp_path / NAME)
+    (folder / SUMMARY).write_text(summary)
+    with pytest.raises(ValueError, match=r".+"):
+        load_run(folder)
+
+
+def test_a_folder_that_is_no_run_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match=SUMMARY):
+        load_run(tmp_path)
+
+
+def test_a_summary_that_names_more_leaders_than_were_heard(tmp_path: Path) -> None:
+    run = load_run(write_run(tmp_path / NAME, changes={"rim_rows": [0, 4, 9]}))
+    assert run.leaders == (1, 5)
+    assert run.series is not None
+    assert np.isnan(run.series.flux_metric).all()
