@@ -40,7 +40,8 @@ class Journal:
     def in_stage(self, stage: str) -> Iterator[None]:
         """Mark what runs inside as one stage of the flight."""
         self.stage, self.stage_begins_s, self.stage_ends_s = stage, self._time(), None
-        begin_s = self.recorder.since_start_s(self._time())
+        began_s = self.recorder.since_start_s(self._time())
+        begin_s = self.stages.get(stage, (began_s, began_s))[0]  # a way home broken off goes on as another way home
         self.event("stage", stage, stage=stage)
         try:
             yield

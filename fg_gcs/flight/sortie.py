@@ -91,7 +91,11 @@ class Sortie:
         with self._journal.in_stage("hold"):
             self._journal.stage_ends_s = self._time() + self._mission.hold.duration_s
             await asyncio.sleep(self._mission.hold.duration_s)
-        await self._go_home(everybody, self._plan.home)
+        with self._journal.in_stage("home"):
+            await self._stream(everybody, self._plan.home)
+            await self._settle(everybody, "the places above the pads")
+        with self._journal.in_stage("land"):
+            await self._land(everybody)
 
     async def bring_down(self, patience: Callable[[Awaitable[None]], Awaitable[None]]) -> None:
         """Get everybody that still obeys onto the ground: home on checked lines if possible, else on the spot.
@@ -168,13 +172,6 @@ class Sortie:
         place = self._fleet.frames[row].enu_from_ned(vehicle.position_ned_m)
         return float(np.linalg.norm(wanted - place))
 
-    async def _go_home(self, rows: Sequence[int], plan: CheckedPlan) -> None:
-        with self._journal.in_stage("home"):
-            await self._stream(rows, plan)
-            await self._settle(rows, "the places above the pads")
-        with self._journal.in_stage("land"):
-            await self._land(rows)
-
     async def _land(self, rows: Sequence[int]) -> None:
         """Land vehicles on the spot, and wait until they are disarmed."""
         vehicles = [self._fleet.vehicles[row] for row in rows]
@@ -210,15 +207,23 @@ class Sortie:
         motion = self.streamer.motion
         if not isinstance(motion, Follow):
             raise VehicleError("everybody is above its own pad")
-        brake = Brake(motion, self._time())
-        self.streamer.motion = brake
-        await asyncio.sleep(brake.end_s - self._time())
-        rows = self._obeying()
+        with self._journal.in_stage("home"):
+            brake = Brake(motion, self._time())
+            self.streamer.motion = brake
+            await asyncio.sleep(brake.end_s - self._time())
+            rows = self._obeying()
+            await self._stream(rows, self._way_home(brake, rows))
+            await self._settle(rows, "the places above the pads")
+        with self._journal.in_stage("land"):
+            await self._land(rows)
+
+    def _way_home(self, brake: Brake, rows: Sequence[int]) -> CheckedPlan:
+        """Plan and prove the way home of those at ``rows`` from where braking has brought them."""
         places = brake.at(self._time()).position_m[[list(brake.rows).index(row) for row in rows]]
         others = [row for row, v in enumerate(self._fleet.vehicles) if row not in rows and v.armed]
         in_the_way = self._fleet.positions_enu_m()[others]  # lost or taken: as far as known, they stay where they are
-        way = plan_home(places, self._tops_m[rows], self._task, in_the_way)
-        await self._go_home(rows, check(way.pieces, self._task.rules, self._task.target_enu_m))
+        way = plan_home(places, self._tops_m[list(rows)], self._task, in_the_way)
+        return check(way.pieces, self._task.rules, self._task.target_enu_m)
 
     def _obeying(self) -> list[int]:
         """Rows of the armed vehicles that are heard and that nobody else has taken."""

@@ -102,17 +102,15 @@ def figures(
         holding = (series.time_s >= stages["hold"][0]) & (series.time_s <= stages["hold"][1])
         if holding.any():
             result["flown_flux_metric"] = float(series.flux_metric[holding].mean())
-    airborne = np.concatenate(series.airborne)
-    if airborne.any():
-        result["flown_peak_speed_m_s"] = float(np.concatenate(series.speed_m_s)[airborne].max())
-        result["flown_peak_acceleration_m_s2"] = float(np.nanmax(np.concatenate(series.acceleration_m_s2)[airborne]))
+    errors = np.concatenate(series.error_m)
+    planned = np.isfinite(errors)
+    if planned.any():  # take-off and landing are the autopilots' own business: no plan of ours has a limit for them
+        result["flown_peak_speed_m_s"] = float(np.concatenate(series.speed_m_s)[planned].max())
+        result["flown_peak_acceleration_m_s2"] = float(np.nanmax(np.concatenate(series.acceleration_m_s2)[planned]))
+        result["tracking_rms_m"] = float(np.sqrt((errors[planned] ** 2).mean()))
+        result["tracking_max_m"] = float(errors[planned].max())
     if len(series.system_ids) > 1:
         result["flown_min_separation_m"] = closest_approach(series.position_m, series.time_s).distance_m
-    errors = np.concatenate(series.error_m)
-    errors = errors[np.isfinite(errors)]
-    if len(errors):
-        result["tracking_rms_m"] = float(np.sqrt((errors**2).mean()))
-        result["tracking_max_m"] = float(errors.max())
     return result
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -43,8 +43,14 @@ class Table:
         self._width = sum(columns.values())
         self._cells = array("d")
 
-    def append(self, row: Iterable[float]) -> None:
-        """Add a row; as many numbers as all columns are wide."""
+    def append(self, row: Sequence[float]) -> None:
+        """Add a row.
+
+        Raises:
+            ValueError: the row has not as many numbers as all columns are wide.
+        """
+        if len(row) != self._width:
+            raise ValueError(f"a row of {len(row)} numbers for a table that is {self._width} wide")
         self._cells.extend(row)
 
     def columns(self) -> dict[str, Array]:

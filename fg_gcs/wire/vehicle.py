@@ -215,7 +215,9 @@ class Vehicle:
         yield Event.ARMED if self.armed else Event.DISARMED
         if self.airborne:
             yield Event.AIRBORNE
-        if self._accepted_modes is not None and self.mode not in self._accepted_modes:
+        # On the ground again after our landing it leaves its land mode by itself as it disarms: nobody took it
+        down = self.phase is Phase.LANDING and not self.airborne
+        if self._accepted_modes is not None and self.mode not in self._accepted_modes and not down:
             yield Event.TAKEN_OVER
         elif self.mode == self.manners.land_mode:
             yield Event.LANDING_BEGAN
