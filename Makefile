@@ -2,7 +2,9 @@
 SHELL  := /bin/bash
 VENV   := .venv
 BIN    := $(VENV)/bin
-PYTHON ?= $(firstword $(shell for name in python3.13 python3.12 python3.11 python3; do command -v $$name; done))
+# The first interpreter that runs and is new enough; a name alone may be a version manager's empty shim.
+PYTHON ?= $(firstword $(shell for name in python3 python3.13 python3.12 python3.11; do \
+	$$name -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$name; done))
 FLAGS  := --disable-pip-version-check -c constraints.txt
 
 .PHONY: help demo test format clean
@@ -30,7 +32,7 @@ clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache *.egg-info
 
 $(VENV)/bin/python:
-	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else f"fg-gcs needs Python 3.11 or newer; $(PYTHON) is {sys.version.split()[0]}. Name another one: make PYTHON=...")'
+	@test -n "$(PYTHON)" || { echo "fg-gcs needs Python 3.11 or newer and found none; name one: make PYTHON=..." >&2; exit 1; }
 	@echo "Creating the virtual environment $(VENV) with $(PYTHON) ..."
 	@$(PYTHON) -m venv $(VENV)
 

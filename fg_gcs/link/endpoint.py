@@ -4,6 +4,7 @@ import asyncio
 import errno
 import re
 import socket
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -63,7 +64,7 @@ def parse_endpoint(text: str) -> Endpoint:
     return Endpoint(kind, match["host"] or _LOCAL, int(match["port"]))
 
 
-class Wire:
+class Wire(ABC):
     """One open endpoint: hands in bytes with the address they came from, takes bytes for an address; never raises.
 
     Attributes:
@@ -80,13 +81,13 @@ class Wire:
         self.errors = 0
         self._on_data = on_data
 
+    @abstractmethod
     def send(self, data: bytes, address: Address) -> None:
         """Send whole frames to ``address``."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Close it."""
-        raise NotImplementedError
 
 
 class UdpWire(Wire, asyncio.DatagramProtocol):

@@ -51,12 +51,12 @@ def test_the_simulators_own_state_says_the_target_is_surrounded(autopilot: str, 
     seen: list[float] = []
 
     async def look(flight: Flight) -> None:
-        await flight.reaches("hold")
-        rim = flight.simulator.positions_enu_m[flight.director.result.plan.rim_of]  # type: ignore[union-attr] # planned
-        seen.append(float(flux_metric(rim[None], np.array([-6.0, 10.0, 12.0]))[0]))
-        await flight.reaches("home")
-        rim = flight.simulator.positions_enu_m[flight.director.result.plan.rim_of]  # type: ignore[union-attr] # planned
-        seen.append(float(flux_metric(rim[None], np.array([-6.0, 10.0, 12.0]))[0]))
+        for stage in ("hold", "home"):
+            await flight.reaches(stage)
+            plan = flight.director.result.plan
+            assert plan is not None
+            rim = flight.simulator.positions_enu_m[plan.rim_of]
+            seen.append(float(flux_metric(rim[None], np.array([-6.0, 10.0, 12.0]))[0]))
 
     flight = fly(tmp_path, autopilot, look)
     assert flight.result is not None
