@@ -37,7 +37,13 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
     fly = commands.add_parser("fly", help="fly a mission", description="Fly a mission and write a report.")
-    fly.add_argument("mission", type=Path, metavar="MISSION", help="mission file, see missions/README.md")
+    fly.add_argument(
+        "missions",
+        type=Path,
+        nargs="+",
+        metavar="MISSION",
+        help="mission file, see missions/README.md; several are flown one after the other until one is not completed",
+    )
     fly.add_argument(
         "--connect",
         action="append",
@@ -59,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
         "--autopilot", choices=("px4", "ardupilot"), help="manners of the simulator, whatever the file says"
     )
     fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
-    fly.add_argument("--json", action="store_true", help="print one JSON object on the last line of stdout")
+    fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
 
     plan = commands.add_parser("plan", help="plan missions without flying", description="Plan and prove missions.")
     plan.add_argument("missions", type=Path, nargs="+", metavar="MISSION")
@@ -110,17 +116,15 @@ def _run(chosen: argparse.Namespace) -> int:
         case "fly":
             from fg_gcs.console.fly import Options, fly
 
-            return fly(
-                Options(
-                    mission=chosen.mission,
-                    endpoints=tuple(chosen.connect or ()),
-                    wait_s=chosen.wait,
-                    speed=chosen.speed,
-                    autopilot=chosen.autopilot,
-                    logs=chosen.logs,
-                    json=chosen.json,
-                )
+            options = Options(
+                endpoints=tuple(chosen.connect or ()),
+                wait_s=chosen.wait,
+                speed=chosen.speed,
+                autopilot=chosen.autopilot,
+                logs=chosen.logs,
+                json=chosen.json,
             )
+            return next((code for path in chosen.missions if (code := fly(path, options)) != DONE), DONE)
         case "plan":
             from fg_gcs.console.plan import plan
 

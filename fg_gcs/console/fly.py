@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import math
 import signal
@@ -33,7 +34,6 @@ VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed on
 class Options:
     """What was asked for."""
 
-    mission: Path
     endpoints: tuple[str, ...] = ()  # empty: our own simulator
     wait_s: float = 30.0
     speed: float = 1.0  # infinite: virtual time
@@ -42,15 +42,15 @@ class Options:
     json: bool = False
 
 
-def fly(options: Options) -> int:
-    """Fly a mission and return the exit code.
+def fly(path: Path, options: Options) -> int:
+    """Fly a mission file and return the exit code.
 
     Raises:
         MissionError: the file or the options are at fault.
         LinkError: nobody answered.
         PlanError: the mission has no plan.
     """
-    mission = load_mission(options.mission)
+    mission = load_mission(path)
     virtual = math.isinf(options.speed)
     if virtual and options.endpoints:
         raise MissionError("--speed max: only the built-in simulator lives in virtual time; leave --connect out")
@@ -60,26 +60,28 @@ def fly(options: Options) -> int:
         except LinkError as error:
             raise MissionError(f"--connect: {error}") from error
     try:
-        folder = make_folder(options.logs, options.mission.stem, datetime.now())
+        folder = make_folder(options.logs, path.stem, datetime.now())
     except OSError as error:
         raise MissionError(f"--logs {options.logs}: {error.strerror or error}") from error
     warm_up()
+    gc.collect()
+    gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     with asyncio.Runner(loop_factory=lambda: make_loop(options.speed)) as runner:
-        result = runner.run(_fly(mission, options, folder))
+        result = runner.run(_fly(path, mission, options, folder))
     summary = json.loads((folder / "summary.json").read_text())
     if options.json:
         print(json.dumps(summary))
     return 0 if result.completed else 1
 
 
-async def _fly(mission: Mission, options: Options, folder: Path) -> Result:
+async def _fly(path: Path, mission: Mission, options: Options, folder: Path) -> Result:
     loop = asyncio.get_running_loop()
     virtual = math.isinf(options.speed)
     simulated = not options.endpoints
     autopilot = options.autopilot or mission.simulator.autopilot
     with ExitStack() as stack:
         epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
-        recorder = stack.enter_context(Recorder(folder, options.mission.read_text(), loop.time(), epoch_s))
+        recorder = stack.enter_context(Recorder(folder, path.read_text(), loop.time(), epoch_s))
         progress = stack.enter_context(Progress(mission, live=not virtual and sys.stderr.isatty()))
         recorder.listener = progress.event
         endpoints = options.endpoints
@@ -92,7 +94,6 @@ async def _fly(mission: Mission, options: Options, folder: Path) -> Result:
             if not virtual:
                 log = folder / "simulator.log"
                 stack.enter_context(simulator_process(mission, autopilot, port, options.speed, log))
-        # Planning is quick, but how quick differs from run to run: in virtual time it takes none
         setup = Setup(endpoints, options.wait_s, simulated, time.perf_counter)
         director = Director(mission, setup, recorder)
         async with AsyncExitStack() as in_loop:
@@ -109,7 +110,7 @@ async def _fly(mission: Mission, options: Options, folder: Path) -> Result:
             finally:
                 show.cancel()
                 await asyncio.gather(show, return_exceptions=True)
-        summary = _summary(mission, options, result, recorder)
+        summary = _summary(path, mission, result, recorder)
         recorder.finish(summary)
         write_report(folder)
     progress.closing(summary)
@@ -123,11 +124,11 @@ def _on_signals(director: Director) -> None:
         loop.add_signal_handler(number, director.interrupt, f"stopped by {number.name}")
 
 
-def _summary(mission: Mission, options: Options, result: Result, recorder: Recorder) -> dict[str, object]:
+def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -> dict[str, object]:
     """The run's figures by the names of the command line's JSON."""
-    summary: dict[str, object] = {"mission": str(options.mission)}
+    summary: dict[str, object] = {"mission": str(path)}
     if result.plan is not None:
-        summary |= plan_keys(str(options.mission), result.system_ids, result.plan)
+        summary |= plan_keys(str(path), result.system_ids, result.plan)
     rim = [] if result.plan is None else result.plan.rim_of.tolist()
     limits = None if result.task is None else result.task.rules.limits
     counters = result.counters
