@@ -51,6 +51,7 @@ def fly(path: Path, options: Options) -> int:
         PlanError: the mission has no plan.
     """
     mission = load_mission(path)
+    text = path.read_text()
     virtual = math.isinf(options.speed)
     if virtual and options.endpoints:
         raise MissionError("--speed max: only the built-in simulator lives in virtual time; leave --connect out")
@@ -67,21 +68,21 @@ def fly(path: Path, options: Options) -> int:
     gc.collect()
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     with asyncio.Runner(loop_factory=lambda: make_loop(options.speed)) as runner:
-        result = runner.run(_fly(path, mission, options, folder))
+        result = runner.run(_fly(path, text, mission, options, folder))
     summary = json.loads((folder / "summary.json").read_text())
     if options.json:
         print(json.dumps(summary))
     return 0 if result.completed else 1
 
 
-async def _fly(path: Path, mission: Mission, options: Options, folder: Path) -> Result:
+async def _fly(path: Path, text: str, mission: Mission, options: Options, folder: Path) -> Result:
     loop = asyncio.get_running_loop()
     virtual = math.isinf(options.speed)
     simulated = not options.endpoints
     autopilot = options.autopilot or mission.simulator.autopilot
     with ExitStack() as stack:
         epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
-        recorder = stack.enter_context(Recorder(folder, path.read_text(), loop.time(), epoch_s))
+        recorder = stack.enter_context(Recorder(folder, text, loop.time(), epoch_s))
         progress = stack.enter_context(Progress(mission, live=not virtual and sys.stderr.isatty()))
         recorder.listener = progress.event
         endpoints = options.endpoints
