@@ -13,6 +13,7 @@ from sitl_mock.pilot import Body
 from sitl_mock.reference import Vec3
 
 ARMED_BIT, STREAMING_BIT = 0x80, 0x10
+FENCE_BIT = 0x100000  # MAV_SYS_STATUS_GEOFENCE: there is none to breach; MAVProxy says so when it is missing
 PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x200000 | 0x2000000
 GRAVITY_M_S2 = 9.80665
@@ -75,7 +76,7 @@ def _sys_status(vehicle: Autopilot, body: Body) -> Fields:
     return {
         "onboard_control_sensors_present": SENSORS | PREARM_BIT,
         "onboard_control_sensors_enabled": SENSORS | PREARM_BIT,
-        "onboard_control_sensors_health": SENSORS | (PREARM_BIT if able else 0),
+        "onboard_control_sensors_health": SENSORS | FENCE_BIT | (PREARM_BIT if able else 0),
         "load": 100,
         "voltage_battery": 4 * CELLS_MV,
         "current_battery": 1500 if vehicle.armed else 50,
