@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
@@ -72,6 +73,9 @@ class Progress:
             return
         loop = asyncio.get_running_loop()
         async for _ in ticks(loop.time(), REFRESH_S):
+            with suppress(TimeoutError):  # the streamer may have stopped meanwhile
+                async with asyncio.timeout(REFRESH_S):
+                    await director.quiet_moment()
             self._live.update(self._picture(director, loop.time()), refresh=True)
 
     def closing(self, summary: dict[str, object]) -> None:

@@ -12,6 +12,7 @@ from fg_gcs.flight.fleet import Fleet, names
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
 from fg_gcs.flight.sortie import Sortie
+from fg_gcs.flight.streamer import Streamer
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import parse_endpoint
 from fg_gcs.link.router import Counters, Direction, Router
@@ -68,6 +69,7 @@ class Director:
         self._setup = setup
         self._interrupts: asyncio.Queue[str] = asyncio.Queue()
         self._failure: BaseException | None = None
+        self._streamer: Streamer | None = None
 
     def interrupt(self, reason: str) -> None:
         """Stop the flight: the first time by flying home, a second time by landing on the spot."""
@@ -82,6 +84,11 @@ class Director:
         if self._failure is None:
             self._failure = error
             self.interrupt(f"internal error: {error!r}")
+
+    async def quiet_moment(self) -> None:
+        """Wait until some milliseconds of work, such as a picture for people, delay no setpoint."""
+        if self._streamer is not None:
+            await self._streamer.quiet_moment()
 
     async def fly(self) -> Result:
         """Fly the mission; returns with everybody that still obeys on the ground.
@@ -122,6 +129,7 @@ class Director:
         try:
             await self._unless_interrupted(on_the_ground())
             sortie = sorties[0]
+            self._streamer = sortie.streamer
             background += [asyncio.create_task(sortie.streamer.run()), asyncio.create_task(sortie.watch())]
             await self._unless_interrupted(self._all_alive(sortie.fly(), background))
             self.result.completed = True

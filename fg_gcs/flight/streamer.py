@@ -117,6 +117,7 @@ class Streamer:
         self._recorder = recorder
         self._period_s = 1.0 / rate_hz
         self._engaged = [False] * len(fleet.vehicles)
+        self._sent = asyncio.Event()
 
     def engage(self, rows: Iterable[int]) -> None:
         """Send setpoints to these vehicles from the next tick on."""
@@ -128,6 +129,11 @@ class Streamer:
         for row in rows:
             self._engaged[row] = False
 
+    async def quiet_moment(self) -> None:
+        """Wait until setpoints have just left: work done now delays none, if it ends before the next tick."""
+        if self.motion is not None and any(self._engaged):
+            await self._sent.wait()
+
     async def run(self) -> None:
         """Stream for ever: run it as a task."""
         loop = asyncio.get_running_loop()
@@ -137,6 +143,8 @@ class Streamer:
                 self.late_ticks += k - last - 1 if last >= 0 else 0
                 last = k
                 self._send(self.motion, loop.time(), late_s)
+                self._sent.set()  # wakes who waits now
+                self._sent.clear()
 
     def _send(self, motion: Motion, now_s: float, late_s: float) -> None:
         rows = motion.rows
