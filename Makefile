@@ -39,6 +39,8 @@ $(VENV)/bin/python:
 $(VENV)/.runtime: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing fg-gcs and what it runs on into $(VENV) (once, about half a minute) ..."
 	@$(BIN)/python -m pip install $(FLAGS) -e .
+	@echo "Compiling the planner (once, about half a minute) ..."
+	@$(BIN)/python -c 'from fg_gcs.plan.compiled import build; build()'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime

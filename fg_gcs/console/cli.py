@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
+EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "figures", "all")
 DONE, ABORTED, BAD_INPUT, NOBODY_ANSWERED, INTERNAL_ERROR = range(5)
 
 EPILOG = """\
@@ -19,6 +20,8 @@ examples:
   fg-gcs plan missions/*.toml --json                 plan without flying, one JSON line a file
   fg-gcs check missions/*.toml                       is each file a valid mission?
   fg-gcs sim --vehicles 9 --autopilot ardupilot      only the simulator, for any ground station
+  fg-gcs experiment all                              the paper's tables and figures anew, into docs/
+  fg-gcs bench plan --json                           the planner against the paper's way
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
 exit codes: 0 done, 1 the flight was aborted safely, 2 bad input, 3 nobody answered, 4 internal error
@@ -82,6 +85,20 @@ def parser() -> argparse.ArgumentParser:
     sim.formatter_class = argparse.RawDescriptionHelpFormatter
     add_arguments(sim)
 
+    experiment = commands.add_parser(
+        "experiment",
+        help="regenerate the paper's tables and figures",
+        description="Run an experiment of the paper; show its results beside the published ones.",
+    )
+    experiment.add_argument("name", choices=EXPERIMENTS, metavar="NAME", help=f"one of: {', '.join(EXPERIMENTS)}")
+    experiment.add_argument(
+        "--out", type=Path, default=Path("docs"), metavar="DIR", help="where tables and figures go (default: docs)"
+    )
+
+    bench = commands.add_parser("bench", help="measure", description="Measure, as ratios side by side in one run.")
+    bench.add_argument("what", choices=("plan",), help="plan: the planner against the paper's way")
+    bench.add_argument("--json", action="store_true", help="print one JSON object, the last line of stdout")
+
     report = commands.add_parser("report", help="write a run's report again", description="Write a report again.")
     report.add_argument("log", type=Path, metavar="LOG", help="folder of a recorded run")
     return top
@@ -133,6 +150,14 @@ def _run(chosen: argparse.Namespace) -> int:
             from fg_gcs.console.plan import check
 
             return check(chosen.missions)
+        case "experiment":
+            from fg_gcs.console.experiment import experiment
+
+            return experiment(chosen.name, chosen.out)
+        case "bench":
+            from fg_gcs.console.experiment import bench
+
+            return bench(as_json=chosen.json)
         case "report":
             from fg_gcs.console.plan import report
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from fg_gcs.console.plan import plan_keys
+from fg_gcs.console.plan import load_planner, plan_keys
 from fg_gcs.console.progress import Progress
 from fg_gcs.console.simulator import free_port, simulator_in_loop, simulator_process
 from fg_gcs.errors import FgError, LinkError, MissionError
@@ -22,7 +22,6 @@ from fg_gcs.flight.director import Director, Result, Setup
 from fg_gcs.link.clock import make_loop
 from fg_gcs.link.endpoint import parse_endpoint
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.plan.timing import warm_up
 from fg_gcs.record.evaluation import evaluate
 from fg_gcs.record.recorder import REPORT, Recorder, make_folder, plain
 from fg_gcs.record.report import write_report
@@ -64,7 +63,7 @@ def fly(path: Path, options: Options) -> int:
         folder = make_folder(options.logs, path.stem, datetime.now())
     except OSError as error:
         raise MissionError(f"--logs {options.logs}: {error.strerror or error}") from error
-    warm_up()
+    load_planner()
     gc.collect()
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     with asyncio.Runner(loop_factory=lambda: make_loop(options.speed)) as runner:

@@ -11,7 +11,6 @@ from pathlib import Path
 from fg_gcs.errors import FgError, MissionError, PlanError
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
-from fg_gcs.plan.timing import warm_up
 from fg_gcs.record.recorder import plain
 
 
@@ -24,7 +23,7 @@ def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
     if plot is not None and len(paths) > 1:
         raise MissionError("--plot draws one mission; name only one file")
     missions = [load_mission(path) for path in paths]
-    warm_up()
+    load_planner()
     for path, mission in zip(paths, missions, strict=True):
         try:
             made = compile_flight(mission.task(), mission.tops_enu_m(), time.perf_counter)
@@ -44,7 +43,7 @@ def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
 
 def check(paths: Sequence[Path]) -> int:
     """Say of each file whether it is a valid mission that has a plan; return 2 if one is not."""
-    warm_up()
+    load_planner()
     bad = 0
     for path in paths:
         try:
@@ -73,6 +72,16 @@ def report(folder: Path) -> int:
         raise MissionError(f"{folder}: not the folder of a recorded run: {error}") from error
     print(f"report: {path}", file=sys.stderr)
     return 0
+
+
+def load_planner() -> None:
+    """Load the compiled planner, and say so when it has to be compiled first."""
+    from fg_gcs.plan.compiled import build, drop_stale, is_built
+
+    drop_stale()
+    if not is_built():
+        print("compiling the planner, once after installation (about half a minute) ...", file=sys.stderr)
+    build()
 
 
 def plan_keys(name: str, system_ids: Sequence[int], made: FlightPlan) -> dict[str, object]:

@@ -17,10 +17,11 @@ Array = NDArray[np.float64]
 
 
 class Pose(NamedTuple):
-    """Where a formation is."""
+    """Where a formation is, and how large."""
 
     centre_enu_m: Array  # (3,) centre of the face
     rotation: Array  # (3, 3) template axes to ENU; the first column is the face's normal
+    scale: float = 1.0  # times the template
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,9 @@ class Formation:
         """Root mean square distance of the leaders from the centre of the face [m]."""
         return float(np.sqrt((self.leaders_m**2).sum(axis=1).mean()))
 
-    def place(self, pose: Pose, scale: float = 1.0) -> Array:
+    def place(self, pose: Pose) -> Array:
         """Return every vehicle's position, shape (V, 3) [m; ENU]."""
-        placed: Array = pose.centre_enu_m + scale * self.slots_m @ pose.rotation.T
+        placed: Array = pose.centre_enu_m + pose.scale * self.slots_m @ pose.rotation.T
         return placed
 
 

@@ -112,6 +112,7 @@ class LimitsTable(Table):
     acceleration_m_s2: Positive = Field(description="norm of the acceleration, a number above 0")
     climb_m_s: Positive | None = Field(default=None, description="a number above 0 (default: only the norm counts)")
     descent_m_s: Positive | None = Field(default=None, description="a number above 0 (default: only the norm counts)")
+    jerk_m_s3: Positive | None = Field(default=None, description="a number above 0 (default: no limit)")
     separation_m: Positive = Field(description="no two vehicles come closer: a number above 0")
 
 
@@ -195,6 +196,7 @@ class Mission(Table):
                     limits.acceleration_m_s2,
                     np.inf if limits.climb_m_s is None else limits.climb_m_s,
                     np.inf if limits.descent_m_s is None else limits.descent_m_s,
+                    np.inf if limits.jerk_m_s3 is None else limits.jerk_m_s3,
                 ),
                 limits.separation_m,
                 self.fence.box(),

@@ -15,7 +15,7 @@ from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import FluxPath, plan_path
 from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.paths import PosePath
+from fg_gcs.plan.rigid_path import PosePath
 from fg_gcs.plan.trajectory import CheckedPlan, Peaks, check, timed
 from fg_gcs.plan.transit import NOTHING, Transit, gather, scatter
 
@@ -89,10 +89,11 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
     if len(tops_enu_m) != len(slots):
         raise PlanError(f"the formation has {len(slots)} slots, but there are {len(tops_enu_m)} vehicles")
     began = stopwatch()
-    path = plan_path(task.formation, task.start, task.target_enu_m, task.hold_depth_m)
+    fence = task.rules.fence
+    path = plan_path(task.formation, task.start, task.target_enu_m, task.hold_depth_m, fence=fence)
     found = stopwatch()
     rules = task.rules
-    into = gather(tops_enu_m, task.formation.place(task.start), rules.separation_m, rules.limits)
+    into = gather(tops_enu_m, task.formation.place(task.start), rules)
     approach = check([timed(PosePath(slots[into.goal_of], path.poses), rules.limits)], rules, task.target_enu_m)
     hold = approach.sample(np.array([approach.duration_s])).position_m[0]
     home = plan_home(hold, tops_enu_m, task)
@@ -117,7 +118,7 @@ def plan_home(position_enu_m: Array, tops_enu_m: Array, task: Task, obstacles_m:
     Raises:
         PlanError: no collision-free lines lead there.
     """
-    return scatter(position_enu_m, tops_enu_m, task.rules.separation_m, task.rules.limits, obstacles_m)
+    return scatter(position_enu_m, tops_enu_m, task.rules, obstacles_m)
 
 
 def _figures(task: Task, path: FluxPath, approach: CheckedPlan, rim: Indices) -> ApproachFigures:

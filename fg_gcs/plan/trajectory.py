@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from fg_gcs.core.frames import yaw_from_enu
-from fg_gcs.core.separation import Separation, closest_approach
+from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.paths import SwarmPath
-from fg_gcs.plan.timing import Timing, time_optimal
+from fg_gcs.plan.profile import Profile
+from fg_gcs.plan.timing import time_optimal
 
 Array = NDArray[np.float64]
 
-SAMPLES_PER_CELL = 5  # a cell is 0.1 m or so of way, on which a path bends little
-SEPARATION_HZ = 200.0  # straight motion within 5 ms departs from the true one by 0.03 mm at 10 m/s^2
-CHECK_BLOCK = 400  # cells looked at together: bounds the work space for large swarms
-BETWEEN_SAMPLES = 1e-4  # how much a peak between two samples of a cell may exceed them both
+BLEND_S = 0.05  # shortest window that accelerations are blended over: some setpoints, and 1 % of a short flight
+SURVEY_HZ = 200.0  # density of the proof, besides the instants where the jerk steps: in between all is smooth
+JERK_HZ = 1000.0  # where jerk is limited: it is taken from differences of accelerations
+SURVEY_PLACES = 20_000  # instants times vehicles looked at together: 2 MB of work space, whatever the swarm
+MOMENTS = 2001  # instants among which the moment of the closest approach is looked up
+ON_FENCE_M = 1e-6  # a micrometre: rounding of places that lie on the fence itself
+OUTSIDE_SAMPLES = 2001  # enough to name the vehicle, the time and the place
+BETWEEN_SAMPLES = 2e-3  # how much a peak between two samples of the proof may exceed them both
+UNITS = (("speed", "m_s"), ("acceleration", "m_s2"), ("jerk", "m_s3"), ("climb", "m_s"), ("descent", "m_s"))
 YAW_BLEND_M = 1.0  # a vehicle this close to the vertical through its target has no bearing to it; blend over
 
 
@@ -38,61 +47,61 @@ class Peaks(NamedTuple):
 
     speed_m_s: float
     acceleration_m_s2: float
+    jerk_m_s3: float  # of differences between dense samples
     climb_m_s: float
     descent_m_s: float
 
 
-class Trajectory:
-    """A path with its timing: the swarm's position, velocity and acceleration at any time."""
+class Survey(NamedTuple):
+    """What a dense look at a whole trajectory finds."""
 
-    def __init__(self, path: SwarmPath, timing: Timing, stretch: float = 1.0) -> None:
-        """Run the timing ``stretch`` times slower than given."""
+    peaks: Peaks
+    low_enu_m: Array  # (3,) corners of the box that it stays in [m]
+    high_enu_m: Array
+
+
+class Trajectory:
+    """A path with its profile in time: the swarm's position, velocity and acceleration at any time."""
+
+    def __init__(self, path: SwarmPath, profile: Profile, survey_hz: float = SURVEY_HZ) -> None:
+        """Take both, and how densely to survey them; the path is not looked at before it is sampled."""
         self._path = path
-        self._timing = timing
-        self._stretch = stretch
-        self.duration_s = float(timing.time_s[-1]) * stretch
+        self._profile = profile
+        self._survey_hz = survey_hz
+        self.duration_s = profile.duration_s
 
     def sample(self, time_s: Array) -> Sample:
         """Return the swarm at ``time_s``, shape (T,) [s]; before the start and after the end it rests there."""
-        grid, speed, knots = self._timing
-        inside = np.clip(time_s / self._stretch, 0.0, knots[-1])
-        cell = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
-        span = np.maximum(knots[cell + 1] - knots[cell], np.finfo(float).tiny)
-        growth = (speed[cell + 1] - speed[cell]) / span  # constant within a cell, so all below is exact
-        tau = inside - knots[cell]
-        s_m = np.clip(grid[cell] + (speed[cell] + 0.5 * growth * tau) * tau, 0.0, grid[-1])
-        moving = (time_s >= 0.0) & (time_s < self.duration_s)
-        rate = np.where(moving, speed[cell] + growth * tau, 0.0)[:, None, None] / self._stretch
-        growth = np.where(moving, growth, 0.0)[:, None, None] / self._stretch**2
+        s_m, rate, growth = self._profile.at(time_s)
         position, first, second = self._path.at(s_m)
-        return Sample(position, first * rate, first * growth + second * rate**2)
+        return Sample(position, *_derivatives(first, second, rate, growth))
 
-    def peaks(self) -> Peaks:
-        """Return the largest values of all vehicles, both ends of every cell of constant path acceleration included.
+    def slower(self, factor: float) -> Trajectory:
+        """Return the same path flown ``factor`` times slower."""
+        return Trajectory(self._path, self._profile.slower(factor), self._survey_hz)
 
-        The acceleration steps from cell to cell, so samples in time could miss its peaks; samples in each cell cannot.
-        """
-        grid, speed, _ = self._timing
-        fractions = np.linspace(0.0, 1.0, SAMPLES_PER_CELL)
-        largest = np.zeros(4)
-        for start in range(0, len(grid) - 1, CHECK_BLOCK):
-            cells = np.arange(start, min(start + CHECK_BLOCK, len(grid) - 1))
-            width = (grid[cells + 1] - grid[cells])[:, None]
-            squares = speed[cells, None] ** 2 + np.diff(speed**2)[cells, None] * fractions  # linear in s within a cell
-            rate = (np.sqrt(squares) / self._stretch).ravel()[:, None, None]
-            tiny = np.finfo(float).tiny  # a path of no length has cells of no width, and nothing moves in them
-            growth = np.diff(speed**2)[cells, None] / np.maximum(2.0 * width, tiny) / self._stretch**2
-            growth = np.broadcast_to(growth, squares.shape).ravel()[:, None, None]
-            _, first, second = self._path.at((grid[cells, None] + width * fractions).ravel())
-            velocity = first * rate
-            block = (
-                np.linalg.norm(velocity, axis=2).max(),
-                np.linalg.norm(first * growth + second * rate**2, axis=2).max(),
-                velocity[:, :, 2].max(),
-                -velocity[:, :, 2].min(),
-            )
-            largest = np.maximum(largest, block)
-        return Peaks(*largest.tolist())
+    @cached_property
+    def survey(self) -> Survey:
+        """What a dense look at the whole trajectory finds, every instant included where the jerk steps."""
+        time_s = self._profile.instants(self._survey_hz)
+        s_m, rate, growth = self._profile.at(time_s)
+        outline = self._path.outline
+        peaks = np.zeros(5)
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        rows = max(1, SURVEY_PLACES // outline.vehicles)
+        for start in range(0, len(time_s) - 1, rows):
+            block = slice(start, start + rows + 1)  # neighbours share an instant: jerk needs two
+            points = outline.at(s_m[block])
+            _look(*points, rate[block], growth[block], time_s[block], peaks, low, high)
+        return Survey(Peaks(*peaks.tolist()), low, high)
+
+    @cached_property
+    def closest(self) -> Separation:
+        """The closest approach of any pair, in the trajectory's own time."""
+        distance_m, s_m, pair = self._path.closest()
+        time_s = np.linspace(0.0, self.duration_s, MOMENTS)
+        moment = min(int(np.searchsorted(self._profile.at(time_s)[0], s_m)), MOMENTS - 1)
+        return Separation(distance_m, float(time_s[moment]), pair)
 
 
 @dataclass(frozen=True)
@@ -125,24 +134,27 @@ class CheckedPlan:
 
 
 def timed(path: SwarmPath, limits: Limits) -> Trajectory:
-    """Return the time-optimal trajectory of a path, slowed by what its dense samples exceed the limits.
+    """Return the fastest trajectory of a path with continuous acceleration, and bounded jerk where a limit is given.
 
-    Between grid points the path's spline can overshoot what the grid points promise by some tenths of a percent.
-    Stretching time by k divides speeds by k and accelerations by k squared, so one stretch mends all.
+    The time-optimal timing is averaged over a window, see :mod:`fg_gcs.plan.profile`. What then exceeds a limit is
+    mended by flying slower: stretching time by k divides speeds by k, accelerations by k squared and jerks by k
+    cubed.
 
     Raises:
         PlanError: no timing keeps the limits.
     """
-    timing = time_optimal(path, limits)
-    peaks = Trajectory(path, timing).peaks()
+    window_s = max(BLEND_S, 2.0 * limits.acceleration_m_s2 / limits.jerk_m_s3)
+    profile = Profile(time_optimal(path, limits), window_s if path.length_m > 0.0 else 0.0)
+    trajectory = Trajectory(path, profile, SURVEY_HZ if np.isinf(limits.jerk_m_s3) else JERK_HZ)
+    peaks = trajectory.survey.peaks
     worst = max(
         peaks.speed_m_s / limits.speed_m_s,
         peaks.climb_m_s / limits.climb_m_s,
         peaks.descent_m_s / limits.descent_m_s,
         float(np.sqrt(peaks.acceleration_m_s2 / limits.acceleration_m_s2)),
+        float(np.cbrt(peaks.jerk_m_s3 / limits.jerk_m_s3)),
     )
-    stretch = max(1.0, worst * (1.0 + BETWEEN_SAMPLES))
-    return Trajectory(path, timing, stretch)
+    return trajectory if worst < 1.0 - BETWEEN_SAMPLES else trajectory.slower(worst * (1.0 + BETWEEN_SAMPLES))
 
 
 def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> CheckedPlan:
@@ -161,15 +173,14 @@ def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> Chec
     bearing = (gaze_enu_m - centre)[:2]
     length = float(np.linalg.norm(bearing))
     heading = bearing / length if length > 0.0 else np.array([0.0, 1.0])
-    peaks = Peaks(*np.max([piece.peaks() for piece in pieces], axis=0).tolist())
+    surveys = [piece.survey for piece in pieces]
+    peaks = Peaks(*np.max([survey.peaks for survey in surveys], axis=0).tolist())
     _check_limits(peaks, rules.limits)
-    separation = Separation(np.inf, 0.0, (0, 0))
-    for piece, start_s in zip(pieces, starts_s, strict=False):
-        time_s = _instants(piece.duration_s, SEPARATION_HZ)
-        position = piece.sample(time_s).position_m
-        _check_fence(position, time_s + start_s, rules)
-        if position.shape[1] > 1:
-            separation = min(separation, closest_approach(position, time_s + start_s))
+    for piece, survey, start_s in zip(pieces, surveys, starts_s, strict=False):
+        if rules.fence.excess_m(np.stack((survey.low_enu_m, survey.high_enu_m))).max() > ON_FENCE_M:
+            raise _outside(piece, float(start_s), rules)
+    found = [(piece.closest, float(start_s)) for piece, start_s in zip(pieces, starts_s, strict=False)]
+    separation = min(closest._replace(time_s=closest.time_s + start_s) for closest, start_s in found)
     if separation.violates(rules.separation_m):
         first, second = separation.pair
         raise PlanError(
@@ -180,22 +191,71 @@ def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> Chec
 
 
 def _check_limits(peaks: Peaks, limits: Limits) -> None:
-    for name, unit in (("speed", "m_s"), ("acceleration", "m_s2"), ("climb", "m_s"), ("descent", "m_s")):
+    for name, unit in UNITS:
         peak, limit = getattr(peaks, f"{name}_{unit}"), getattr(limits, f"{name}_{unit}")
         if peak > limit * (1.0 + 1e-6):  # rounding of a stretched trajectory, no more
             raise PlanError(f"the plan reaches {peak:.3f} of {name}_{unit} (limit {limit:.3f}); slow it down")
 
 
-def _check_fence(position_m: Array, time_s: Array, rules: Rules) -> None:
-    excess = rules.fence.excess_m(position_m)  # (T, V)
-    if excess.max() > 1e-6:  # a micrometre: rounding of places that lie on the fence itself
-        instant, vehicle = np.unravel_index(int(excess.argmax()), excess.shape)
-        place = ", ".join(f"{value:.1f}" for value in position_m[instant, vehicle])
-        raise PlanError(
-            f"vehicle {vehicle + 1} would be {excess[instant, vehicle]:.2f} m outside the fence "
-            f"at t={time_s[instant]:.1f} s, at ({place}); raise the flight or move the fence by as much"
-        )
+def _outside(piece: Trajectory, start_s: float, rules: Rules) -> PlanError:
+    """Say which vehicle leaves the fence furthest, when and where."""
+    time_s = np.linspace(0.0, piece.duration_s, OUTSIDE_SAMPLES)
+    position = piece.sample(time_s).position_m
+    excess = rules.fence.excess_m(position)  # (T, V)
+    instant, vehicle = np.unravel_index(int(excess.argmax()), excess.shape)
+    place = ", ".join(f"{value:.1f}" for value in position[instant, vehicle])
+    return PlanError(
+        f"vehicle {vehicle + 1} would be {excess[instant, vehicle]:.2f} m outside the fence "
+        f"at t={time_s[instant] + start_s:.1f} s, at ({place}); raise the flight or move the fence by as much"
+    )
 
 
-def _instants(duration_s: float, rate_hz: float) -> Array:
-    return np.linspace(0.0, duration_s, max(2, int(np.ceil(duration_s * rate_hz)) + 1))
+@njit(cache=True)
+def _derivatives(first: Array, second: Array, rate: Array, growth: Array) -> tuple[Array, Array]:
+    """Velocities ``q' s'`` and accelerations ``q' s'' + q'' s'^2``, each (T, V, 3)."""
+    velocity, acceleration = np.empty_like(first), np.empty_like(first)
+    for i in range(first.shape[0]):
+        square = rate[i] * rate[i]
+        for v in range(first.shape[1]):
+            for k in range(3):
+                velocity[i, v, k] = first[i, v, k] * rate[i]
+                acceleration[i, v, k] = first[i, v, k] * growth[i] + second[i, v, k] * square
+    return velocity, acceleration
+
+
+@njit(cache=True)
+def _look(
+    position: Array,
+    first: Array,
+    second: Array,
+    rate: Array,
+    growth: Array,
+    time: Array,
+    peaks: Array,
+    low: Array,
+    high: Array,
+) -> None:
+    """Raise the peaks (speed, acceleration, jerk, climb, descent) and widen the box by T instants of V points."""
+    vehicles = position.shape[1]
+    before = np.zeros((vehicles, 3))  # accelerations of the instant before
+    speed2, acceleration2, jerk2 = peaks[0] ** 2, peaks[1] ** 2, peaks[2] ** 2
+    for i in range(position.shape[0]):
+        square = rate[i] * rate[i]
+        step = time[i] - time[i - 1] if i > 0 else 0.0
+        for v in range(vehicles):
+            v2, a2, j2 = 0.0, 0.0, 0.0
+            for k in range(3):
+                velocity = first[i, v, k] * rate[i]
+                acceleration = first[i, v, k] * growth[i] + second[i, v, k] * square
+                v2 += velocity * velocity
+                a2 += acceleration * acceleration
+                j2 += (acceleration - before[v, k]) ** 2
+                before[v, k] = acceleration
+                low[k] = min(low[k], position[i, v, k])
+                high[k] = max(high[k], position[i, v, k])
+            speed2, acceleration2 = max(speed2, v2), max(acceleration2, a2)
+            if step > 1e-4:  # instants closer than this tell rounding, not jerk
+                jerk2 = max(jerk2, j2 / (step * step))
+            peaks[3] = max(peaks[3], first[i, v, 2] * rate[i])
+            peaks[4] = max(peaks[4], -first[i, v, 2] * rate[i])
+    peaks[0], peaks[1], peaks[2] = math.sqrt(speed2), math.sqrt(acceleration2), math.sqrt(jerk2)

@@ -19,7 +19,7 @@ from scipy.spatial.distance import cdist
 
 from fg_gcs.core.separation import Separation, closest_approach
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.limits import Limits
+from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.paths import LinePath
 from fg_gcs.plan.trajectory import Trajectory, timed
 
@@ -39,49 +39,49 @@ class Transit(NamedTuple):
     goal_of: Indices  # (V,) vehicle v ends at place goal_of[v]
 
 
-def gather(start_m: Array, slots_m: Array, separation_m: float, limits: Limits) -> Transit:
+def gather(start_m: Array, slots_m: Array, rules: Rules) -> Transit:
     """Return the way from scattered places into a formation, shapes (V, 3) and (V, 3) [m; ENU].
 
     Raises:
         PlanError: no opening of the formation makes the lines collision-free.
     """
-    slot_of, wide = _open_out(slots_m, start_m, separation_m)
+    slot_of, wide = _open_out(slots_m, start_m, rules, NOTHING)
     ends = slots_m[slot_of]
-    return Transit(_lines((start_m, wide[slot_of], ends), limits), slot_of)
+    return Transit(_lines((start_m, wide[slot_of], ends), rules.limits), slot_of)
 
 
-def scatter(
-    formation_m: Array, goals_m: Array, separation_m: float, limits: Limits, obstacles_m: Array = NOTHING
-) -> Transit:
+def scatter(formation_m: Array, goals_m: Array, rules: Rules, obstacles_m: Array = NOTHING) -> Transit:
     """Return the way from a formation to scattered places, shapes (V, 3) and (V, 3) [m; ENU].
 
     Args:
         formation_m: where everybody is.
         goals_m: where to go; who goes where is chosen here.
-        separation_m: least distance of any pair.
-        limits: of every vehicle.
+        rules: limits, separation and fence.
         obstacles_m: what stands still and is kept away from, shape (O, 3) [m].
 
     Raises:
         PlanError: no opening of the formation makes the lines collision-free.
     """
-    vehicle_of, wide = _open_out(formation_m, goals_m, separation_m, obstacles_m)
+    vehicle_of, wide = _open_out(formation_m, goals_m, rules, obstacles_m)
     goal_of = np.argsort(vehicle_of)
-    return Transit(_lines((formation_m, wide, goals_m[goal_of]), limits), goal_of)
+    return Transit(_lines((formation_m, wide, goals_m[goal_of]), rules.limits), goal_of)
 
 
-def _open_out(
-    formation_m: Array, places_m: Array, separation_m: float, obstacles_m: Array = NOTHING
-) -> tuple[Indices, Array]:
-    """Return which formation member each place belongs to, and the formation opened as far as the lines need."""
+def _open_out(formation_m: Array, places_m: Array, rules: Rules, obstacles_m: Array) -> tuple[Indices, Array]:
+    """Return which formation member each place belongs to, and the formation opened as far as the lines need.
+
+    An opened formation that would leave the fence is shifted back inside; a shift changes no distance in it.
+    """
     centre = formation_m.mean(axis=0)
-    needed_m = CLEARANCE * separation_m
+    needed_m = CLEARANCE * rules.separation_m
+    low, high = np.array(rules.fence.low_enu_m), np.array(rules.fence.high_enu_m)
     for opening in OPENINGS:
         wide = centre + opening * (formation_m - centre)
+        wide = wide + np.maximum(low - wide.min(axis=0), 0.0) - np.maximum(wide.max(axis=0) - high, 0.0)
         _, member_of = linear_sum_assignment(cdist(places_m, wide, "sqeuclidean"))
         far = _closest(places_m, wide[member_of], obstacles_m)
         near = _closest(wide, formation_m, obstacles_m)  # opening parts every pair, but may run into an obstacle
-        if not (far.violates(needed_m) or near.violates(separation_m)):
+        if not (far.violates(needed_m) or near.violates(rules.separation_m)):
             return member_of, wide
     raise PlanError(
         f"no straight lines between pads and formation keep {needed_m:.2f} m apart (with the widest opening they come "

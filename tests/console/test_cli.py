@@ -94,14 +94,13 @@ def test_check_names_each_file_and_fails_if_one_is_bad(tmp_path: Path, capsys: p
     unplannable.write_text(
         (MISSIONS / "demo.toml")
         .read_text()
-        .replace("high_enu_m = [40.0, 50.0, 40.0]", "high_enu_m = [40.0, 19.0, 40.0]")
+        .replace("high_enu_m = [40.0, 50.0, 40.0]", "high_enu_m = [40.0, 18.2, 40.0]")
     )
     assert main(["check", str(MISSIONS / "demo.toml")]) == 0
     assert main(["check", str(MISSIONS / "demo.toml"), str(bad), str(unplannable)]) == 2
     said = capsys.readouterr().err
     assert f"{bad}: [swarm] vehicles: 8 vehicles for 9 slots" in said
-    assert f"{unplannable}: vehicle" in said
-    assert "outside the fence" in said
+    assert f"{unplannable}: the formation does not fit around the target" in said
 
 
 @pytest.mark.parametrize(

@@ -34,8 +34,8 @@ def test_placing_keeps_all_distances_and_scales_them() -> None:
     formation = hemisphere(5, 6, 4.0)
     for seed in range(10):
         draw = np.random.default_rng(seed)
-        pose = Pose(draw.normal(size=3) * 50, Rotation.random(rng=draw).as_matrix())
-        assert pdist(formation.place(pose, 1.7)) == pytest.approx(1.7 * pdist(formation.slots_m))
+        pose = Pose(draw.normal(size=3) * 50, Rotation.random(rng=draw).as_matrix(), 1.7)
+        assert pdist(formation.place(pose)) == pytest.approx(1.7 * pdist(formation.slots_m))
 
 
 def test_facing_is_a_rotation_that_looks_where_it_is_told() -> None:

@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 from fg_gcs.core.coverage import FACING, coverage, flux_metric
 from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.flux_guided import FluxPath, maximise_in_ball, plan_path
+from fg_gcs.plan.flux_guided import FluxPath, plan_path
+from fg_gcs.plan.rigid_path import PosePath
+from fg_gcs.plan.rigid_search import maximise_in_ball
 from tests.plan.scenes import PAPER, START
 
 Array = NDArray[np.float64]
@@ -70,6 +72,9 @@ def test_exactly_behind_is_a_saddle_with_one_way_out() -> None:
 @pytest.mark.parametrize(
     "target",
     [
+        (-2.2, 2.5, 2.5),
+        (-4, 2.5, 2.5),
+        (-6, 2.6, 2.5),
         (0, 30, 2.5),
         (0, 6, 2.5),
         (0.0, 2.5, 2.5),
@@ -86,9 +91,39 @@ def test_hard_targets(target: tuple[float, float, float]) -> None:
     assert way_m(PAPER, path) <= 4 * np.linalg.norm(np.array(target) - START.centre_enu_m) + 30.0
 
 
+@pytest.mark.parametrize("last", [0.1, 0.5, 3.0, 10.0])
+def test_the_formation_grows_and_shrinks_on_the_way_at_a_bounded_rate(last: float) -> None:
+    target = np.array([60.0, 20.0, 10.0])
+    path = plan_path(PAPER, START, target, 0.1, last_scale=last)
+    scales = np.array([pose.scale for pose in path.poses])
+    assert scales[[0, -1]] == pytest.approx([1.0, last])
+    assert (np.diff(scales) * np.sign(last - 1.0) >= 0.0).all()
+    assert flux_metric(rims(PAPER, path)[-1:], target)[0] >= 0.999
+    body = PosePath(PAPER.slots_m, path.poses)
+    shape = pdist(PAPER.slots_m)
+    for positions in body.at(np.linspace(0.0, body.length_m, 60)).position_m:
+        ratio = pdist(positions) / shape
+        assert ratio == pytest.approx(np.full(len(ratio), ratio[0]), rel=1e-9)
+        assert min(1.0, last) - 1e-9 <= ratio[0] <= max(1.0, last) + 1e-9
+    s = np.linspace(0.1, body.length_m - 0.1, 40)
+    difference = (body.at(s + 1e-5).position_m - body.at(s - 1e-5).position_m) / 2e-5
+    assert np.abs(difference - body.at(s).first).max() < 1e-5
+
+
 def test_in_place_already_is_an_empty_path() -> None:
     path = plan_path(PAPER, START, START.centre_enu_m)
     assert (len(path.poses), path.iterates) == (1, 0)
+
+
+@pytest.mark.parametrize("target", [(0.0, 2.5, 0.0), (1e-10, 2.5, 0.0), (0.0, 0.0, 2.5)])
+def test_a_target_on_an_edge_is_refused_or_reached_but_never_a_crash(target: tuple[float, float, float]) -> None:
+    try:
+        path = plan_path(PAPER, START, np.array(target))
+    except PlanError as error:
+        said = str(error)
+    else:
+        said = f"reached with {flux_metric(rims(PAPER, path)[-1:], np.array(target))[0]:.3f}"
+    assert "rim" in said or said == "reached with 1.000"
 
 
 @pytest.mark.parametrize("target", [(np.nan, 0, 0), (np.inf, 0, 0)])

@@ -12,9 +12,10 @@ from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.plan.paths import LinePath, PosePath, SwarmPath
+from fg_gcs.plan.paths import LinePath, SwarmPath
+from fg_gcs.plan.rigid_path import PosePath, ball_points
 from fg_gcs.plan.timing import time_optimal
-from fg_gcs.plan.trajectory import check, timed
+from fg_gcs.plan.trajectory import BLEND_S, check, timed
 from tests.plan.scenes import LIMITS, PAPER, START, compiled, task, tops
 
 WIDE = Rules(LIMITS, 1.5, Fence((-1e4, -1e4, -1e4), (1e4, 1e4, 1e4)))
@@ -49,8 +50,8 @@ def test_a_pose_path_is_rigid_between_its_poses_and_passes_through_them() -> Non
 
 @pytest.mark.parametrize(("distance_m", "optimum_s"), [(2.0, 2 * np.sqrt(2 / 5)), (66.4, 66.4 / 10 + 10 / 5)])
 def test_a_straight_line_takes_the_bang_bang_time(distance_m: float, optimum_s: float) -> None:
-    assert timed(line(distance_m), LIMITS).duration_s == pytest.approx(optimum_s, rel=0.02)
-    assert timed(line(distance_m), LIMITS).duration_s >= optimum_s
+    flown_s = timed(line(distance_m), LIMITS).duration_s
+    assert optimum_s + BLEND_S <= flown_s <= optimum_s * 1.02 + BLEND_S  # what continuous acceleration costs
 
 
 @pytest.mark.parametrize(
@@ -77,8 +78,18 @@ def test_samples_are_each_others_derivatives() -> None:
     mean_velocity = (sample.velocity_m_s[1:] + sample.velocity_m_s[:-1]) / 2
     assert np.abs(np.diff(sample.position_m, axis=0) / step - mean_velocity).max() < 1e-3
     mean_acceleration = (sample.acceleration_m_s2[1:] + sample.acceleration_m_s2[:-1]) / 2
-    difference = np.abs(np.diff(sample.velocity_m_s, axis=0) / step - mean_acceleration).max(axis=(1, 2))
-    assert np.median(difference) < 1e-2  # at the steps between cells it is as large as the step
+    assert np.abs(np.diff(sample.velocity_m_s, axis=0) / step - mean_acceleration).max() < 2e-2
+    assert np.abs(np.diff(sample.acceleration_m_s2, axis=0)).max() < 0.1  # continuous: no step from cell to cell
+
+
+@pytest.mark.parametrize("jerk", [5.0, 20.0, 60.0])
+def test_jerk_is_bounded_where_a_limit_is_given(jerk: float) -> None:
+    flight = timed(approach((-10, 10, 10)), replace(LIMITS, jerk_m_s3=jerk))
+    times = np.arange(0.0, flight.duration_s, 1e-3)
+    growth = np.diff(flight.sample(times).acceleration_m_s2, axis=0) / 1e-3
+    largest = np.linalg.norm(growth, axis=2).max()
+    assert largest <= jerk * 1.02
+    assert largest >= 0.3 * jerk
 
 
 def test_a_trajectory_rests_before_and_after() -> None:
@@ -138,3 +149,28 @@ def test_the_rim_of_a_compiled_flight_is_the_formations_rim() -> None:
     flight = compiled()
     rim = flight.approach.sample(np.zeros(1)).position_m[0][flight.rim_of]
     assert rim == pytest.approx(PAPER.place(task().start)[:4])
+
+
+def test_a_balls_points_enclose_the_ball_and_not_much_more() -> None:
+    points = ball_points()
+    directions = np.random.default_rng(0).normal(size=(5000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    support = (directions @ points.T).max(axis=1)  # of the hull of the points, in every direction
+    assert support.min() >= 1.0
+    assert np.linalg.norm(points, axis=1).max() < 1.27
+
+
+def test_a_thousand_followers_keep_every_limit_that_their_outline_keeps() -> None:
+    draw = np.random.default_rng(2)
+    behind = draw.normal(size=(1000, 3)) * np.array([2.0, 2.0, 2.0])
+    behind[:, 0] = -np.abs(behind[:, 0])
+    slots = np.concatenate((PAPER.leaders_m, behind))
+    path = PosePath(slots, plan_path(PAPER, START, np.array([-10.0, 10.0, 10.0])).poses)
+    flight = timed(path, LIMITS)
+    sample = flight.sample(np.linspace(0.0, flight.duration_s, 400))
+    assert np.linalg.norm(sample.velocity_m_s, axis=2).max() <= 10.0
+    assert np.linalg.norm(sample.acceleration_m_s2, axis=2).max() <= 5.0
+    survey = flight.survey
+    assert (sample.position_m.min(axis=(0, 1)) >= survey.low_enu_m).all()
+    assert (sample.position_m.max(axis=(0, 1)) <= survey.high_enu_m).all()
+    assert flight.closest.distance_m == pytest.approx(pdist(slots).min())

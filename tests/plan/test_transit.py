@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from fg_gcs.core.formation import hemisphere
-from fg_gcs.core.separation import closest_approach
+from fg_gcs.core.separation import Fence, closest_approach
 from fg_gcs.errors import PlanError
+from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.transit import CLEARANCE, Transit, gather, scatter
 from tests.plan.scenes import LIMITS, START, compiled, task, tops
+
+RULES = Rules(LIMITS, 1.5, Fence((-99.0, -99.0, -99.0), (99.0, 99.0, 99.0)))
 
 
 def closest_m(way: Transit) -> float:
@@ -26,8 +29,8 @@ def test_random_pads_are_joined_to_random_formations_without_a_close_call(seed: 
     count = len(slots)
     cells = draw.permutation(36)[:count]
     pads = np.stack((cells % 6 * 3.0, cells // 6 * 3.0, np.full(count, 4.0)), axis=1)
-    there = gather(pads, slots, 1.5, LIMITS)
-    back = scatter(slots, pads, 1.5, LIMITS)
+    there = gather(pads, slots, RULES)
+    back = scatter(slots, pads, RULES)
     for way, ends in ((there, slots), (back, pads)):
         assert sorted(way.goal_of) == list(range(count))
         last = way.pieces[-1].sample(np.array([way.pieces[-1].duration_s])).position_m[0]
@@ -52,7 +55,7 @@ def test_the_way_home_keeps_away_from_what_stands_still(seed: int) -> None:
     everybody = hemisphere(4, 5, 8.0).place(START) + np.array([0.0, 0.0, 10.0])
     stays = int(draw.integers(9))
     moving = np.delete(everybody, stays, axis=0)
-    way = scatter(moving, tops(9, 4.0)[:8], 1.5, LIMITS, everybody[stays : stays + 1])
+    way = scatter(moving, tops(9, 4.0)[:8], RULES, everybody[stays : stays + 1])
     for piece in way.pieces:
         positions = piece.sample(np.linspace(0.0, piece.duration_s, 500)).position_m
         assert np.linalg.norm(positions - everybody[stays], axis=2).min() >= 1.5 - 1e-3
@@ -60,6 +63,6 @@ def test_the_way_home_keeps_away_from_what_stands_still(seed: int) -> None:
 
 def test_nobody_moves_when_everybody_is_there_already() -> None:
     slots = hemisphere(4, 0, 8.0).place(START)
-    way = gather(slots, slots, 1.5, LIMITS)
+    way = gather(slots, slots, RULES)
     assert list(way.goal_of) == [0, 1, 2, 3]
     assert way.pieces[0].duration_s == pytest.approx(0.0, abs=1e-6)

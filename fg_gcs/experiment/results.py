@@ -1,0 +1,107 @@
+"""All experiments in a row, and the page that shows them: never typed by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from fg_gcs.experiment.baseline import Progress, Stopwatch
+from fg_gcs.experiment.flights import flights_table, fly_all
+from fg_gcs.experiment.multi import multi
+from fg_gcs.experiment.scenes import TARGETS, scene
+from fg_gcs.experiment.sensitivity import sensitivity
+from fg_gcs.experiment.table1 import table1
+from fg_gcs.experiment.tables import Table
+from fg_gcs.experiment.times import times
+
+HEADING = """\
+# Results
+
+The experiments of the paper ([Hartley2021], see [references.md](references.md)) beside its published numbers.
+*Paper's way here* is the paper's method with general tools (SciPy `trust-constr` with a central-difference gradient,
+per-axis timing by toppra), written from its text and run beside ours. This page is written by `fg-gcs experiment
+all`; do not edit it. Times belong to the machine and the run that wrote it and are rounded to two digits; all else is
+the same in every run with the same versions of the libraries. Speed ratios are measured more carefully by `fg-gcs
+bench plan`.
+"""
+
+
+class Picture(NamedTuple):
+    """One figure of the page."""
+
+    name: str  # of its files, without ending
+    text: str
+
+
+class Result(NamedTuple):
+    """What one experiment gives."""
+
+    tables: tuple[Table, ...]
+    pictures: tuple[Picture, ...] = ()
+
+
+def run_figures(stopwatch: Stopwatch, progress: Progress, out: Path) -> Result:
+    """Plan the paper's flights and draw its figures into ``out/figures``.
+
+    Raises:
+        PlanError: a method does not reach a target.
+    """
+    from fg_gcs.experiment import drawings  # matplotlib takes half a second to load, and tables do not need it
+
+    folder = out / "figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    flights = fly_all(stopwatch, progress)
+    progress("figures: drawing")
+    drawings.save(drawings.compare_paths([scene(target_m) for target_m in TARGETS[:2]]), folder, "paths")
+    pictures = [Picture("paths", "Paths of the leaders by flux guiding and by least squares.")]
+    for flight, name in zip(flights, ("front_40", "behind_20", "front_10", "behind_10"), strict=True):
+        if name in ("front_40", "behind_20"):
+            drawings.save(drawings.draw_curves(flight), folder, f"curves_{name}")
+            text = "Speed and acceleration of nine vehicles on the flight"
+            pictures.append(Picture(f"curves_{name}", f"{text} to ({flight.scene.name})."))
+        else:
+            drawings.save(drawings.draw_flight(flight), folder, f"flight_{name}")
+            pictures.append(Picture(f"flight_{name}", f"The hemisphere on its flight to ({flight.scene.name})."))
+    return Result((flights_table(flights),), tuple(pictures))
+
+
+def experiments(stopwatch: Stopwatch, progress: Progress, out: Path) -> dict[str, Callable[[], Result]]:
+    """Return every experiment by its name, in the order of the page; each runs when called."""
+    return {
+        "table1": lambda: Result((table1(progress),)),
+        "times": lambda: Result((times(stopwatch, progress),)),
+        "figures": lambda: run_figures(stopwatch, progress, out),
+        "multi": lambda: Result((multi(stopwatch, progress),)),
+        "sensitivity": lambda: Result(sensitivity(stopwatch, progress)),
+    }
+
+
+def write_tables(tables: Sequence[Table], out: Path) -> tuple[Path, ...]:
+    """Write every table as CSV into ``out/results`` and return the paths."""
+    folder = out / "results"
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = tuple(folder / f"{table.name}.csv" for table in tables)
+    for path, table in zip(paths, tables, strict=True):
+        path.write_text(table.csv(), encoding="utf-8")
+    return paths
+
+
+def write_page(results: Sequence[Result], out: Path) -> Path:
+    """Write ``out/results.md`` from what the experiments gave and return its path."""
+    parts = [HEADING]
+    for result in results:
+        parts += [
+            f"## {table.title}\n\n{table.text}\n\n{table.markdown()}\n{_source(table)}" for table in result.tables
+        ]
+        parts += [
+            f"![{picture.text}](figures/{picture.name}.png)\n\n{picture.text} [SVG](figures/{picture.name}.svg)\n"
+            for picture in result.pictures
+        ]
+    path = out / "results.md"
+    path.write_text("\n".join(parts), encoding="utf-8")
+    return path
+
+
+def _source(table: Table) -> str:
+    return f"[CSV](results/{table.name}.csv)\n"

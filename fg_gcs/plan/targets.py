@@ -1,0 +1,165 @@
+"""What a swarm can be sent to surround, and how large its face has to be for it.
+
+Flux is additive: several charges send the sum of their fluxes through the face [Hartley2021]_. A target of some
+extent, known or not, is reduced to one point with a radius; a face whose inscribed circle has that radius covers it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from fg_gcs.core import solid_angle
+from fg_gcs.errors import PlanError
+
+Array = NDArray[np.float64]
+
+CLEARANCE_M = 10.0  # added to the targets' diameter: 5 m from the outermost one to the leaders' circle
+ASYMMETRY = 1e-9  # of the largest entry: more than rounding, and a matrix is no covariance
+NEGATIVE = 1e-12  # of the largest eigenvalue: rounding may make a zero one this negative, no more
+
+
+@dataclass(frozen=True)
+class PointTarget:
+    """A ball to surround: one source at its centre."""
+
+    position_enu_m: tuple[float, float, float]  # [m; ENU]
+    radius_m: float = 0.0  # [m], >= 0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no ball.
+
+        Raises:
+            PlanError: the position is not three finite numbers, or the radius is negative or not finite.
+        """
+        position = _finite(self.position_enu_m, (3,), "a target's position")
+        if not 0.0 <= self.radius_m < np.inf:
+            raise PlanError(f"a target's radius must be a finite number of metres, 0 or more, got {self.radius_m}")
+        object.__setattr__(self, "position_enu_m", tuple(position.tolist()))
+
+
+@dataclass(frozen=True, eq=False)
+class Charges:
+    """Several sources at once; each one's flux counts by its weight. The arrays are read-only."""
+
+    positions_enu_m: Array  # (C, 3) [m; ENU], C >= 1
+    weights: Array  # (C,) each > 0; only their ratios matter
+
+    def __post_init__(self) -> None:
+        """Refuse what has no flux.
+
+        Raises:
+            PlanError: no charge, a position or weight not finite, a weight not above 0, shapes that do not match.
+        """
+        positions = _points(self.positions_enu_m)
+        weights = _finite(self.weights, (len(positions),), "the charges' weights")
+        if not (weights > 0.0).all():
+            raise PlanError(f"every charge needs a weight above 0, got {weights.min()}")
+        for name, array in (("positions_enu_m", positions), ("weights", weights)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def flux(self, vertices_enu_m: Array) -> float:
+        """Return the weighted mean of the charges' fluxes through a polygon, shape (N, 3) [m] to [sr].
+
+        A mean, not a sum, so that one charge of any weight has the flux of a unit source and 2 pi stays the most.
+        """
+        fluxes = [float(solid_angle.flux(vertices_enu_m, position)) for position in self.positions_enu_m]
+        return float(np.average(fluxes, weights=self.weights))
+
+    def gradient(self, vertices_enu_m: Array) -> Array:
+        """Return the derivative of :meth:`flux` by every vertex; (N, 3) [m] to (N, 3) [sr/m].
+
+        No charge may lie on the rim.
+        """
+        slopes = [solid_angle.gradient(vertices_enu_m, position) for position in self.positions_enu_m]
+        total: Array = np.average(slopes, axis=0, weights=self.weights)
+        return total
+
+
+def centre_of_charge(positions_enu_m: ArrayLike) -> PointTarget:
+    """Return the one target that stands for several equal ones: their mean with an effective radius.
+
+    The face is a square of edge ``l = (2 d_max + 10 m) / sqrt(2)``, ``d_max`` being the largest distance from the
+    mean: its diagonal is the diameter of all targets and 10 m more. The radius is the one of the circle inscribed in
+    that square, so that :func:`square_edge_m` gives ``l`` back. The targets themselves lie inside the square's
+    circumscribed circle.
+
+    Args:
+        positions_enu_m: where the targets are, shape (C, 3), C >= 1 [m; ENU].
+
+    Raises:
+        PlanError: no position, or one that is not three finite numbers.
+    """
+    positions = _points(positions_enu_m)
+    mean = positions.mean(axis=0)
+    furthest_m = float(np.linalg.norm(positions - mean, axis=1).max())
+    return PointTarget(tuple(mean.tolist()), 0.5 * (2.0 * furthest_m + CLEARANCE_M) / np.sqrt(2.0))
+
+
+def uncertain(mean_enu_m: ArrayLike, covariance_m2: ArrayLike, confidence: float) -> PointTarget:
+    """Return the ball that holds a normally distributed target with at least the stated confidence.
+
+    The ellipsoid ``(x - mean)^T C^-1 (x - mean) <= q`` holds it with exactly the confidence when ``q`` is the
+    quantile of the chi-square distribution with three degrees of freedom. The ball around that ellipsoid has the
+    radius ``sqrt(q lambda)`` by the largest eigenvalue of C; it errs on the safe side unless all three are equal.
+
+    Args:
+        mean_enu_m: expected position, shape (3,) [m; ENU].
+        covariance_m2: symmetric and positive semi-definite, shape (3, 3) [m^2; ENU].
+        confidence: probability inside (0, 1).
+
+    Raises:
+        PlanError: a number is not finite, the matrix is no covariance, or the confidence is outside (0, 1).
+    """
+    covariance = _finite(covariance_m2, (3, 3), "a covariance")
+    if not 0.0 < confidence < 1.0:
+        raise PlanError(f"the confidence must lie between 0 and 1, got {confidence}")
+    if np.abs(covariance - covariance.T).max() > ASYMMETRY * np.abs(covariance).max():
+        raise PlanError("the covariance must be symmetric")
+    values = np.linalg.eigvalsh(covariance)
+    if values[0] < -NEGATIVE * np.abs(values).max():
+        raise PlanError(f"the covariance must be positive semi-definite, but has the eigenvalue {values[0]:.3g} m^2")
+    quantile = float(chi2.ppf(confidence, df=3))
+    mean = _finite(mean_enu_m, (3,), "a target's expected position")
+    return PointTarget(tuple(mean.tolist()), float(np.sqrt(quantile * max(values[-1], 0.0))))
+
+
+def edge_for_radius_m(radius_m: float, leaders: int = 4) -> float:
+    """Return the edge of the regular polygon whose inscribed circle has the radius: ``2 r tan(pi / N)`` [m].
+
+    For the paper's four leaders that is its rule ``l = 2 r``.
+
+    Raises:
+        PlanError: the radius is not a finite number above 0, or there are fewer than three leaders.
+    """
+    if leaders < 3:
+        raise PlanError(f"a face needs at least 3 leaders, got {leaders}")
+    if not 0.0 < radius_m < np.inf:
+        raise PlanError(f"a face can be sized for a finite radius above 0 m only, got {radius_m}")
+    return float(2.0 * radius_m * np.tan(np.pi / leaders))
+
+
+def _points(values: ArrayLike) -> Array:
+    """Return one point or more, shape (C, 3)."""
+    try:
+        count = len(np.asarray(values, dtype=float))
+    except (TypeError, ValueError) as error:
+        raise PlanError("targets must be rows of three finite numbers") from error
+    if count == 0:
+        raise PlanError("there must be at least one target")
+    return _finite(values, (count, 3), "targets")
+
+
+def _finite(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
+    """Return a copy of the values as an array of that shape, all finite."""
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise PlanError(f"{what} must be finite numbers of shape {shape}") from error
+    if array.shape != shape or not np.isfinite(array).all():
+        raise PlanError(f"{what} must be finite numbers of shape {shape}")
+    return array
