@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from fg_gcs.core.formation import Formation
 from fg_gcs.core.separation import closest_approach
 from fg_gcs.plan.free import LeaderPath
-from fg_gcs.plan.paths import Approach, PathPoint
+from fg_gcs.plan.paths import Approach, PathPoint, thinned
 
 Array = NDArray[np.float64]
 
-KNOT_M = 0.25  # poses closer than this are thinned: a spline through nearly equal points has wild derivatives
 LOOKS = 8  # at each span for the closest pair: shapes change by centimetres a span, so that eight looks miss nothing
 
 
@@ -34,7 +33,7 @@ class LeadersPath:
         places = path.swarm_m(formation)  # (K, V, 3)
         moves_m = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
         ways_m = np.concatenate(([0.0], np.cumsum(moves_m)))
-        kept = _kept(ways_m)
+        kept = thinned(ways_m)
         self._knots_m = ways_m[kept]
         centres = np.array([pose.centre_enu_m for pose in path.poses])
         rotations = np.array([pose.rotation for pose in path.poses])
@@ -92,13 +91,3 @@ class LeadersPath:
         """Return all vehicles in the moving frame, shape (S, V, 3) [m; template]."""
         followers = np.broadcast_to(self._followers_m, (len(s_m), *self._followers_m.shape))
         return np.concatenate((self._leaders(s_m), followers), axis=1)
-
-
-def _kept(ways_m: Array) -> list[int]:
-    """Return the indices of places at least ``KNOT_M`` apart along the way, first and last always among them."""
-    last = len(ways_m) - 1
-    kept = [0]
-    for index in range(1, last):
-        if min(ways_m[index] - ways_m[kept[-1]], ways_m[last] - ways_m[index]) >= KNOT_M:
-            kept.append(index)
-    return [*kept, last]

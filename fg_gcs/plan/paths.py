@@ -14,6 +14,8 @@ from fg_gcs.core.separation import closest_approach
 
 Array = NDArray[np.float64]
 
+KNOT_M = 0.25  # poses closer than this are thinned: a spline through nearly equal points has wild derivatives
+
 
 class PathPoint(NamedTuple):
     """Positions and their derivatives by the path parameter, each of shape (S, V, 3)."""
@@ -99,3 +101,17 @@ class LinePath:
         ends = np.stack((self._start_m, self._start_m + self._length_m * self._slope))
         found = closest_approach(ends, np.array([0.0, 1.0]))
         return Approach(found.distance_m, found.time_s * self._length_m, found.pair)
+
+
+def thinned(ways_m: Array) -> list[int]:
+    """Return the indices of places at least ``KNOT_M`` apart along the way, first and last always among them.
+
+    Args:
+        ways_m: cumulative way to every place, shape (K,), K >= 1 [m]; a single place counts as first and last.
+    """
+    last = len(ways_m) - 1
+    kept = [0]
+    for index in range(1, last):
+        if min(ways_m[index] - ways_m[kept[-1]], ways_m[last] - ways_m[index]) >= KNOT_M:
+            kept.append(index)
+    return [*kept, last]

@@ -14,11 +14,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from fg_gcs.core.formation import Pose
-from fg_gcs.plan.paths import Approach, PathPoint, SwarmPath
+from fg_gcs.plan.paths import Approach, PathPoint, SwarmPath, thinned
 
 Array = NDArray[np.float64]
 
-KNOT_M = 0.25  # poses closer than this are thinned: a spline through nearly equal points has wild derivatives
 OUTLINED = 64  # above this many slots a ball stands for the swarm: costs some percent of the turn, saves all the time
 SMALL_ANGLE2 = 1e-4  # squared angle below which series replace quotients of small numbers; their error is 1e-13
 
@@ -38,7 +37,7 @@ class PosePath:
         centres = np.array([pose.centre_enu_m for pose in poses])
         rotations = np.array([pose.rotation for pose in poses])
         chords_m = _chords(centres, rotations, np.array([pose.scale for pose in poses]), radius_m)
-        kept = _thinned(chords_m)
+        kept = thinned(chords_m)
         self._slots_m = np.ascontiguousarray(slots_m)
         self._knots_m = chords_m[kept]
         self._scales = np.array([poses[0].scale, poses[-1].scale])
@@ -256,15 +255,3 @@ def _chords(centres: Array, rotations: Array, scales: Array, radius_m: float) ->
     turned_m = radius_m * np.maximum(scales[:-1], scales[1:]) * angles
     ways_m = np.sqrt((moves**2).sum(axis=1) + turned_m**2 + (radius_m * np.diff(scales)) ** 2)
     return np.concatenate(([0.0], np.cumsum(ways_m)))
-
-
-def _thinned(knots_m: Array) -> list[int]:
-    """Indices of knots at least ``KNOT_M`` apart, first and last always among them."""
-    if len(knots_m) == 1:
-        return [0, 0]
-    last = len(knots_m) - 1
-    kept = [0]
-    for index in range(1, last):
-        if knots_m[index] - knots_m[kept[-1]] >= KNOT_M and knots_m[last] - knots_m[index] >= KNOT_M:
-            kept.append(index)
-    return [*kept, last]
