@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sitl_mock.server import SimulatorOptions
+    from sitl_mock.targets import TargetOptions
 
 PX4_PORT_BASE = 18570  # where the real one listens
 EXAMPLES = """\
@@ -19,6 +20,9 @@ examples:
       three ArduPilot vehicles on given pads (east,north in metres) in a breeze
   python -m sitl_mock --vehicles 2 --remote 127.0.0.1:14550 --remote 127.0.0.1:14540 --port-base 0
       two ground stations at once, any free local ports
+  python -m sitl_mock --vehicles 0 --target '{"system_id": 101, "kind": "circle", "centre_enu_m": [0, 0, 18],
+      "radius_m": 50, "speed_m_s": 4}'
+      nothing but a vehicle to be followed, on a circle
 """
 USAGE_ERROR = 2
 
@@ -27,6 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the simulator's options to a parser (also to `fg-gcs sim`'s)."""
     add = parser.add_argument
     add("--vehicles", type=_count, default=None, metavar="N", help="how many (default: as many as --pads, or 1)")
+    add(
+        "--target",
+        type=_target,
+        action="append",
+        metavar="JSON",
+        help='also a vehicle to be followed, with "system_id" and "kind": "static", "waypoints", "circle" or '
+        '"figure_eight"; its keys are those of [targets.motion], see missions/README.md, and "rate_hz" and '
+        '"follow_target"; repeat for more',
+    )
     add("--autopilot", choices=("px4", "ardupilot"), default="px4", help="whose manners (default: %(default)s)")
     add(
         "--remote",
@@ -101,7 +114,10 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
     from sitl_mock.server import SimulatorOptions
 
     pads = arguments.pads
-    vehicles = arguments.vehicles or (len(pads) if pads else 1)
+    vehicles = (len(pads) if pads else 1) if arguments.vehicles is None else arguments.vehicles
+    targets = tuple(arguments.target or ())
+    if vehicles + len(targets) == 0:
+        raise ValueError("--vehicles: 0 is no number of vehicles without a --target")
     if pads is None:
         pads = grid(vehicles, arguments.spacing)
     if len(pads) != vehicles:
@@ -109,8 +125,11 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
     system_ids = arguments.system_ids or tuple(range(1, vehicles + 1))
     if len(system_ids) != vehicles:
         raise ValueError(f"--system-ids has {len(system_ids)} ids for {vehicles} vehicles")
-    if max(system_ids) > 255:
+    if max(system_ids, default=0) > 255:
         raise ValueError("MAVLink has no system ids above 255")
+    every = [*system_ids, *(target.system_id for target in targets)]
+    if len(set(every)) < len(every):
+        raise ValueError("--target names a system id that another vehicle has")
     port_base = arguments.port_base
     if port_base is None:
         port_base = PX4_PORT_BASE if arguments.autopilot == "px4" else 0
@@ -125,11 +144,12 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
         speed=arguments.speed,
         real_boot=arguments.real_boot,
         wind_m_s=arguments.wind,
+        targets=targets,
     )
 
 
 def grid(vehicles: int, spacing_m: float) -> tuple[tuple[float, float], ...]:
-    """Pads (east, north) on a grid as square as possible, the first at 0,0."""
+    """Pads (east, north) on a grid as square as possible, the first at 0,0; none for no vehicles."""
     columns = math.ceil(math.sqrt(vehicles))
     return tuple((spacing_m * (k % columns), spacing_m * (k // columns)) for k in range(vehicles))
 
@@ -171,8 +191,8 @@ def _not_negative(text: str) -> float:
 
 
 def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 255:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of vehicles (1 to 255)")
+    if not text.isdecimal() or int(text) > 255:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of vehicles (0 to 255)")
     return int(text)
 
 
@@ -201,6 +221,15 @@ def _origin(text: str) -> tuple[float, float, float]:
     if len(parts) != 3 or abs(parts[0]) > 90.0 or abs(parts[1]) > 180.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not LAT,LON,ALT in degrees and metres")
     return parts[0], parts[1], parts[2]
+
+
+def _target(text: str) -> TargetOptions:
+    from sitl_mock.targets import parse_target  # pymavlink: not for a mere --help
+
+    try:
+        return parse_target(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
 
 
 def _system_ids(text: str) -> tuple[int, ...]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sitl_mock.fleet import Fleet, FleetOptions, Sent
 from sitl_mock.particles import enu_from_ned
+from sitl_mock.targets import TargetOptions, Targets
 
 HOST = "127.0.0.1"  # simulated vehicles are nobody's business outside this machine
 REMOTE_PORT_STEP = 3990  # PX4's first links are at 18570 + k and 14580 + k
@@ -50,6 +51,7 @@ class SimulatorOptions:
         speed: simulated seconds per second of the event loop.
         real_boot: boot as slowly as the real autopilots.
         wind_m_s: mean wind [m/s].
+        targets: vehicles to be followed; their ports come after those of the vehicles.
     """
 
     autopilot: str = "px4"
@@ -62,6 +64,7 @@ class SimulatorOptions:
     speed: float = 1.0
     real_boot: bool = False
     wind_m_s: float = 0.0
+    targets: tuple[TargetOptions, ...] = ()
 
     @property
     def fleet(self) -> FleetOptions:
@@ -145,7 +148,8 @@ class Simulator:
     def __init__(self, options: SimulatorOptions) -> None:
         self.options = options
         self.fleet = Fleet(options.fleet)
-        self._ports: list[list[_Port]] = []  # [vehicle][link]
+        self.targets = Targets(options.targets, len(options.remotes), options.origin_deg_m)
+        self._ports: list[list[_Port]] = []  # [vehicle, then target][link]
         self._loop: asyncio.AbstractEventLoop | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._start_s = 0.0  # loop time
@@ -160,7 +164,7 @@ class Simulator:
         self._loop = asyncio.get_running_loop()
         sticky = self.options.autopilot == "px4"
         try:
-            for vehicle in range(len(self.options.system_ids)):
+            for vehicle in range(len(self.options.system_ids) + len(self.options.targets)):
                 self._ports.append([])
                 for link, remote in enumerate(self.options.remotes):
                     port = _Port(self, vehicle, link, remote, sticky)
@@ -183,13 +187,14 @@ class Simulator:
         await asyncio.sleep(0)  # transports close at the next turn of the loop
 
     def heard(self, vehicle: int, link: int, data: bytes) -> None:
-        """A datagram arrived; answer it at once, at the present simulated time."""
+        """A datagram arrived; answer it at once, at the present simulated time. Targets listen to nobody."""
         now_s = self._advance()
-        self._send(self.fleet.receive(vehicle, link, data, now_s))
+        if vehicle < len(self.fleet.vehicles):
+            self._send(self.fleet.receive(vehicle, link, data, now_s))
 
     @property
     def ports(self) -> tuple[int, ...]:
-        """The local ports of the first remote, one per vehicle."""
+        """The local ports of the first remote, one per vehicle and target."""
         return tuple(ports[0].number for ports in self._ports)
 
     @property
@@ -203,6 +208,11 @@ class Simulator:
         return enu_from_ned(self.fleet.swarm.velocity_m_s)
 
     @property
+    def targets_enu_m(self) -> NDArray[np.float64]:
+        """(C, 3) true positions of the targets, world ENU [m]."""
+        return np.array(self.targets.positions_enu_m(self._now_s())).reshape(-1, 3)
+
+    @property
     def armed(self) -> NDArray[np.bool_]:
         """(V,) whether each vehicle is armed."""
         return np.array([vehicle.autopilot.armed for vehicle in self.fleet.vehicles])
@@ -210,7 +220,8 @@ class Simulator:
     @property
     def counters(self) -> Counters:
         """What went wrong so far."""
-        codecs = [codec for vehicle in self.fleet.vehicles for codec in vehicle.codecs]
+        rows = [*(vehicle.codecs for vehicle in self.fleet.vehicles), *self.targets.codecs]
+        codecs = [codec for row in rows for codec in row]
         ports = [port for row in self._ports for port in row]
         return Counters(
             bad_bytes=sum(codec.bad_bytes for codec in codecs),
@@ -231,8 +242,7 @@ class Simulator:
 
     def _advance(self) -> float:
         """Bring the fleet to the present; give its time."""
-        assert self._loop is not None
-        now_s = (self._loop.time() - self._start_s) * self.options.speed - self._slipped_s
+        now_s = self._now_s()
         late_s = now_s - self.fleet.time_s - self.fleet.physics.time.catch_up_s
         if late_s > 0.0:
             self._slipped_s += late_s
@@ -240,9 +250,16 @@ class Simulator:
         self._send(self.fleet.advance(now_s))
         return now_s
 
+    def _now_s(self) -> float:
+        """Simulated time, also before the start."""
+        now_s = self._start_s if self._loop is None else self._loop.time()
+        return (now_s - self._start_s) * self.options.speed - self._slipped_s
+
     def _tick(self) -> None:
         now_s = self._advance()
         self._send(self.fleet.telemetry(now_s))
+        first = len(self.fleet.vehicles)
+        self._send([Sent(first + row, link, data) for row, link, data in self.targets.telemetry(now_s)])
         self._plan_tick()
 
     def _plan_tick(self) -> None:

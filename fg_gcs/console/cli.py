@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "figures", "all")
+EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "formulations", "figures", "all")
 DONE, ABORTED, BAD_INPUT, NOBODY_ANSWERED, INTERNAL_ERROR = range(5)
 
 EPILOG = """\

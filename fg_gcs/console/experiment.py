@@ -84,6 +84,6 @@ def _words(figures: PlanBench) -> str:
             f"duration     at most {figures.duration_ratio_worst:.4f} of the optimum; "
             f"to (40,40,40) {figures.flight_time_40_s:.2f} s",
             f"growth       64 leaders take {figures.leaders_64_ratio:.2f} times the time of 4; "
-            f"1000 followers add {figures.followers_1000_ms:.1f} ms",
+            f"1000 followers add {figures.followers_1000_ms:.1f} ms and {figures.memory_1000_mb:.0f} MB",
         )
     )

@@ -63,7 +63,7 @@ def fly(path: Path, options: Options) -> int:
         folder = make_folder(options.logs, path.stem, datetime.now())
     except OSError as error:
         raise MissionError(f"--logs {options.logs}: {error.strerror or error}") from error
-    load_planner()
+    load_planner({mission.plan.formulation})
     gc.collect()
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     with asyncio.Runner(loop_factory=lambda: make_loop(options.speed)) as runner:
@@ -133,7 +133,8 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
     limits = None if result.task is None else result.task.rules.limits
     counters = result.counters
     summary |= {"completed": result.completed, "reason": result.reason, "vehicles_landed": result.vehicles_landed}
-    summary |= evaluate(recorder, result.stages, rim, mission.target.position_enu_m)
+    target_enu_m = mission.first_target().centre_enu_m.tolist()
+    summary |= evaluate(recorder, result.stages, rim, target_enu_m)
     summary |= {
         "replans": 0,
         "replan_p99_ms": None,
@@ -146,7 +147,7 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
         "frames_out": counters.frames_out if counters else 0,
         "limits": None if limits is None else vars(limits),
         "separation_m": mission.limits.separation_m,
-        "target_enu_m": list(mission.target.position_enu_m),
+        "target_enu_m": target_enu_m,
         "rim_rows": rim,
         "stages": {name: list(span) for name, span in result.stages.items()},
         "log": str(recorder.folder),

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from fg_gcs.errors import FgError, MissionError, PlanError
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
+from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.record.recorder import plain
 
 
@@ -23,7 +24,7 @@ def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
     if plot is not None and len(paths) > 1:
         raise MissionError("--plot draws one mission; name only one file")
     missions = [load_mission(path) for path in paths]
-    load_planner()
+    load_planner({mission.plan.formulation for mission in missions})
     for path, mission in zip(paths, missions, strict=True):
         try:
             made = compile_flight(mission.task(), mission.tops_enu_m(), time.perf_counter)
@@ -43,11 +44,11 @@ def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
 
 def check(paths: Sequence[Path]) -> int:
     """Say of each file whether it is a valid mission that has a plan; return 2 if one is not."""
-    load_planner()
     bad = 0
     for path in paths:
         try:
             mission = load_mission(path)
+            load_planner({mission.plan.formulation})
             compile_flight(mission.task(), mission.tops_enu_m(), time.perf_counter)
         except FgError as error:
             text = str(error)
@@ -74,14 +75,14 @@ def report(folder: Path) -> int:
     return 0
 
 
-def load_planner() -> None:
-    """Load the compiled planner, and say so when it has to be compiled first."""
+def load_planner(formulations: Collection[FormulationName]) -> None:
+    """Load the compiled planner for these formulations, and say so when it has to be compiled first."""
     from fg_gcs.plan.compiled import build, drop_stale, is_built
 
     drop_stale()
-    if not is_built():
+    if not is_built(formulations):
         print("compiling the planner, once after installation (about half a minute) ...", file=sys.stderr)
-    build()
+    build(formulations)
 
 
 def plan_keys(name: str, system_ids: Sequence[int], made: FlightPlan) -> dict[str, object]:
@@ -106,11 +107,12 @@ def plan_keys(name: str, system_ids: Sequence[int], made: FlightPlan) -> dict[st
 def _words(name: str, mission: Mission, made: FlightPlan) -> str:
     figures, ids = made.figures, mission.swarm.ids()
     first, second = (ids[row] for row in made.separation.pair)
+    sized = "" if figures.last_scale == 1.0 else f", formation at {figures.last_scale:.2f} times its size at the end"
     return "\n".join(
         (
             f"{name}: {len(made.slot_of)} vehicles, {len(made.rim_of)} of them leaders",
             f"  path        {figures.path_length_m:.1f} m over all leaders "
-            f"(straight {figures.straight_length_m:.1f} m), {figures.iterates} steps",
+            f"(straight {figures.straight_length_m:.1f} m), {figures.iterates} steps{sized}",
             f"  flux        metric {figures.flux_metric:.3f} at the end; "
             f"coverage {figures.coverage_mean:.3f} on average, "
             f"{figures.coverage_min_after_facing:.3f} at least once it faces the target",

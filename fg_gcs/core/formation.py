@@ -11,9 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 Array = NDArray[np.float64]
+
+SAME_PLACE = 1e-6  # of the formation's size: slots nearer than this are one place
 
 
 class Pose(NamedTuple):
@@ -35,7 +38,8 @@ class Formation:
         """Refuse shapes that have no face.
 
         Raises:
-            ValueError: fewer than three leaders, leaders out of one plane or on one line, values not finite.
+            ValueError: fewer than three leaders, leaders out of one plane or on one line, two slots in one place, or
+                values not finite.
         """
         leaders = np.array(self.leaders_m, dtype=float).reshape(-1, 3)
         followers = np.array(self.followers_m, dtype=float).reshape(-1, 3)
@@ -49,6 +53,14 @@ class Formation:
             raise ValueError("the leaders must wind around the face's normal (x) and enclose an area")
         if np.abs(leaders[:, 0]).max() > 1e-9 * size:  # rounding of a decimal file, no more
             raise ValueError("the leaders must lie in the plane of the face (x = 0)")
+        slots = np.concatenate((leaders, followers))
+        same = cKDTree(slots).query_pairs(SAME_PLACE * float(np.abs(slots).max()))
+        if same:
+            first, second = (slot + 1 for slot in min(same))
+            raise ValueError(
+                f"slots {first} and {second} lie in one place (counted from 1, leaders first); every vehicle needs a "
+                "slot of its own"
+            )
         for name, array in (("leaders_m", leaders), ("followers_m", followers)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -67,6 +79,21 @@ class Formation:
     def gyration_m(self) -> float:
         """Root mean square distance of the leaders from the centre of the face [m]."""
         return float(np.sqrt((self.leaders_m**2).sum(axis=1).mean()))
+
+    @property
+    def inscribed_radius_m(self) -> float:
+        """Radius at scale one of the largest circle around the centre that fits into the face [m].
+
+        It is the distance of the nearest edge; 0 if the centre lies outside the face.
+        """
+        begins = self.leaders_m[:, 1:]
+        ends = np.roll(begins, -1, axis=0)
+        edges = ends - begins
+        shares = np.clip(-(begins * edges).sum(axis=1) / (edges**2).sum(axis=1), 0.0, 1.0)
+        nearest_m = np.linalg.norm(begins + shares[:, None] * edges, axis=1).min()
+        crossed = begins[:, 0] * ends[:, 1] - begins[:, 1] * ends[:, 0]
+        turned_rad = np.arctan2(crossed, (begins * ends).sum(axis=1)).sum()  # a whole turn if the centre lies inside
+        return float(nearest_m) if turned_rad > np.pi else 0.0
 
     def place(self, pose: Pose) -> Array:
         """Return every vehicle's position, shape (V, 3) [m; ENU]."""

@@ -56,8 +56,9 @@ def edge_derivatives(ax: float, ay: float, az: float, bx: float, by: float, bz: 
     la = math.sqrt(ax * ax + ay * ay + az * az)
     lb = math.sqrt(bx * bx + by * by + bz * bz)
     dot = ax * bx + ay * by + az * bz
-    d = la * lb + dot
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    # Near the edge the plain sum cancels; the other branch is the same by its conjugate
+    d = la * lb + dot if dot >= 0.0 else (nx * nx + ny * ny + nz * nz) / (la * lb - dot)
     fa, fb = 1.0 / (la * d), 1.0 / (lb * d)
     n = (nx, ny, nz)
     a = (ax, ay, az)

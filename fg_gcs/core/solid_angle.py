@@ -78,9 +78,13 @@ def edge_derivatives(vertices: Array, source: Array) -> EdgeDerivatives:
     dot = np.einsum("ek,ek->e", a, b)[:, None]
     normal = np.cross(a, b)
 
+    # D = |a| |b| + a . b, by the product with its conjugate where the source is near the edge and the sum would cancel
+    lengths = length_a * length_b
+    near = dot < 0.0
+    conjugate = np.where(near, lengths - dot, 1.0)
+    d = np.where(near, np.einsum("ek,ek->e", normal, normal)[:, None] / conjugate, lengths + dot)
     # f_a = 1 / (|a| D) and f_b = 1 / (|b| D), with their derivatives by a and b
-    f_a = 1.0 / (length_a * (length_a * length_b + dot))
-    f_b = 1.0 / (length_b * (length_a * length_b + dot))
+    f_a, f_b = 1.0 / (length_a * d), 1.0 / (length_b * d)
     unit_a, unit_b = a / length_a, b / length_b
     f_a_by_a = -(f_a**2) * (2.0 * length_b * a + dot * unit_a + length_a * b)
     f_a_by_b = -(f_a**2) * (length_a**2 * unit_b + length_a * a)

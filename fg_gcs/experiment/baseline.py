@@ -41,3 +41,10 @@ def run_paper_way(scene: Scene, stopwatch: Stopwatch) -> PaperRun:
     except PlanError:  # a failure of the baseline is a result too
         plan = None
     return PaperRun(path, plan, found - began, stopwatch() - began)
+
+
+def seconds(run: Callable[[], object], stopwatch: Stopwatch) -> float:
+    """Return how long a call takes [s]."""
+    began = stopwatch()
+    run()
+    return stopwatch() - began

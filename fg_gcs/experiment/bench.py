@@ -5,7 +5,7 @@ Speeds come as ratios of medians within one run; a ratio survives a change of ma
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
@@ -13,17 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fg_gcs.core.formation import Formation, hemisphere
 from fg_gcs.experiment import ours
-from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way
+from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way, seconds
+from fg_gcs.experiment.growth import followers_ms, leaders_ratio, memory_mb
 from fg_gcs.experiment.optimum import shortest_duration_s
-from fg_gcs.experiment.scenes import EDGE_M, LEADERS, LIMITS, TARGETS, Scene, draws, printed_rows, scene
-from fg_gcs.plan.flux_guided import plan_path
+from fg_gcs.experiment.scenes import LIMITS, TARGETS, Scene, draws, printed_rows, scene
 
 SEED = 2103  # arbitrary
 FLOWN = (40.0, 40.0, 40.0)  # the flight whose time is told
-SCALING = (50.0, 50.0, 50.0)  # the flight on which growth is measured
-MANY_LEADERS, MANY_FOLLOWERS = 64, 1000
 
 
 @dataclass(frozen=True)
@@ -49,13 +46,14 @@ class PlanBench:
     flux_metric_worst_rows: float
     flux_metric_worst_draws: float
     path_length_m: dict[str, float]  # by target
-    separation_ratio_worst: float
+    separation_ratio_worst: float  # of both formulations
     speed_ratio_worst: float
     acceleration_ratio_worst: float
     duration_ratio_worst: float
     flight_time_40_s: float
     leaders_64_ratio: float
     followers_1000_ms: float
+    memory_1000_mb: float
 
 
 class _Race(NamedTuple):
@@ -99,7 +97,10 @@ def bench_plan(stopwatch: Stopwatch, progress: Progress, size: Size | None = Non
     promises = _promises(plans)
     metrics = [ours.path_figures(each.scene, each.path) for each in plans]
     progress(f"{chosen.draws} random scenes")
-    drawn = [ours.path_figures(made, ours.plan(made).path) for made in draws(chosen.draws, SEED)]
+    scenes = draws(chosen.draws, SEED)
+    drawn = [ours.path_figures(made, ours.plan(made).path) for made in scenes]
+    progress(f"{chosen.draws} random scenes with freely moving leaders")
+    freed = [ours.free_separation_ratio(made) for made in scenes]
     progress("growth with leaders and followers")
     speedups = [race.their_search / race.our_search for race in races]
     return PlanBench(
@@ -111,13 +112,14 @@ def bench_plan(stopwatch: Stopwatch, progress: Progress, size: Size | None = Non
         flux_metric_worst_rows=min(figures.flux_metric for figures in metrics[len(flights) :]),
         flux_metric_worst_draws=min(figures.flux_metric for figures in drawn),
         path_length_m={made.name: each.length_m for made, each in zip(flights, metrics, strict=False)},
-        separation_ratio_worst=min(figures.separation_ratio for figures in drawn),
+        separation_ratio_worst=min(*(figures.separation_ratio for figures in drawn), *freed),
         speed_ratio_worst=promises.speed,
         acceleration_ratio_worst=promises.acceleration,
         duration_ratio_worst=promises.duration,
         flight_time_40_s=ours.plan(scene(FLOWN)).plan.duration_s,
-        leaders_64_ratio=_leaders_ratio(stopwatch, chosen.quick_repeats),
-        followers_1000_ms=_followers_ms(stopwatch, chosen.repeats),
+        leaders_64_ratio=leaders_ratio(stopwatch, chosen.quick_repeats),
+        followers_1000_ms=followers_ms(stopwatch, chosen.repeats),
+        memory_1000_mb=memory_mb(),
     )
 
 
@@ -128,8 +130,8 @@ def _races(scenes: Sequence[Scene], repeats: int, stopwatch: Stopwatch, progress
         laps = []
         for _ in range(repeats):
             theirs = run_paper_way(made, stopwatch)
-            mine_s = _seconds(partial(ours.search, made), stopwatch)
-            plan_s = _seconds(partial(ours.plan, made), stopwatch)
+            mine_s = seconds(partial(ours.search, made), stopwatch)
+            plan_s = seconds(partial(ours.plan, made), stopwatch)
             laps.append((theirs.search_s, theirs.total_s, mine_s, plan_s))
         races.append(_Race(*np.median(laps, axis=0).tolist()))
     return races
@@ -139,37 +141,3 @@ def _promises(plans: Sequence[ours.Planned]) -> _Promises:
     ratios = [ours.limit_ratios(each.plan) for each in plans]
     durations = [each.plan.duration_s / shortest_duration_s(each.path, LIMITS) for each in plans]
     return _Promises(max(each.speed for each in ratios), max(each.acceleration for each in ratios), max(durations))
-
-
-def _leaders_ratio(stopwatch: Stopwatch, repeats: int) -> float:
-    """Time of the search for 64 leaders over that for 4 on the same circle."""
-    made = scene(SCALING)
-    radius_m = EDGE_M / np.sqrt(2.0)
-    rims = [hemisphere(count, 0, float(2.0 * radius_m * np.sin(np.pi / count))) for count in (LEADERS, MANY_LEADERS)]
-    laps = [
-        [_seconds(partial(plan_path, rim, made.start, made.target_enu_m), stopwatch) for rim in rims]
-        for _ in range(repeats)
-    ]
-    few_s, many_s = np.median(laps, axis=0)
-    return float(many_s / few_s)
-
-
-def _followers_ms(stopwatch: Stopwatch, repeats: int) -> float:
-    """Milliseconds that 1000 followers on a lattice behind the face add to a whole plan."""
-    made = scene(SCALING)
-    side = round(MANY_FOLLOWERS ** (1.0 / 3.0))
-    axis = EDGE_M * np.arange(side)
-    lattice = np.stack(np.meshgrid(-EDGE_M - axis, axis - axis.mean(), axis - axis.mean()), axis=-1).reshape(-1, 3)
-    bare = hemisphere(LEADERS, 0, EDGE_M)
-    crowded = Formation(bare.leaders_m, lattice)
-    laps = []
-    for _ in range(repeats + 1):
-        laps.append([_seconds(partial(ours.plan_formation, made, each), stopwatch) for each in (bare, crowded)])
-    few_s, many_s = np.median(laps[1:], axis=0)  # the first warms up
-    return float(1e3 * (many_s - few_s))
-
-
-def _seconds(run: Callable[[], object], stopwatch: Stopwatch) -> float:
-    began = stopwatch()
-    run()
-    return stopwatch() - began

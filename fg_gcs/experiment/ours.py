@@ -14,9 +14,13 @@ from fg_gcs.core.formation import Formation
 from fg_gcs.core.separation import Fence
 from fg_gcs.experiment.scenes import LEADERS, LIMITS, Scene
 from fg_gcs.plan.flux_guided import FluxPath, plan_path
+from fg_gcs.plan.free import plan_leaders
+from fg_gcs.plan.leader_paths import LeadersPath
 from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.plan.paths import SwarmPath
+from fg_gcs.plan.proof import CheckedPlan, check
 from fg_gcs.plan.rigid_path import PosePath
-from fg_gcs.plan.trajectory import CheckedPlan, Trajectory, check, timed
+from fg_gcs.plan.trajectory import Trajectory, timed
 
 Array = NDArray[np.float64]
 
@@ -80,7 +84,7 @@ def plan_formation(scene: Scene, formation: Formation) -> Planned:
     return Planned(scene, found, path, check([trajectory], rules, scene.target_enu_m))
 
 
-def path_figures(scene: Scene, path: PosePath) -> PathFigures:
+def path_figures(scene: Scene, path: SwarmPath) -> PathFigures:
     """Measure a path. All vehicles share its parameter, so its samples see every moment of any timing."""
     count = max(2, int(np.ceil(path.length_m / SAMPLE_M)) + 1)
     places = path.at(np.linspace(0.0, path.length_m, count)).position_m  # (S, V, 3)
@@ -93,6 +97,17 @@ def path_figures(scene: Scene, path: PosePath) -> PathFigures:
         coverage_after_facing=float(covered[facing[0] :].min()) if len(facing) else 0.0,
         separation_ratio=separation_ratio(places, scene.formation),
     )
+
+
+def free_separation_ratio(scene: Scene) -> float:
+    """Plan with freely moving leaders, at one size, and return the closest pair of the path over the template's.
+
+    Raises:
+        PlanError: there is no such path.
+    """
+    formation = scene.formation
+    path = LeadersPath(formation, plan_leaders(formation, scene.start, scene.target_enu_m))
+    return path.closest().distance_m / formation.smallest_separation_m
 
 
 def separation_ratio(places_m: Array, formation: Formation) -> float:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from fg_gcs.experiment.baseline import Progress, Stopwatch
 from fg_gcs.experiment.flights import flights_table, fly_all
+from fg_gcs.experiment.formulations import formulations
 from fg_gcs.experiment.multi import multi
 from fg_gcs.experiment.scenes import TARGETS, scene
 from fg_gcs.experiment.sensitivity import sensitivity
@@ -73,6 +74,7 @@ def experiments(stopwatch: Stopwatch, progress: Progress, out: Path) -> dict[str
         "times": lambda: Result((times(stopwatch, progress),)),
         "figures": lambda: run_figures(stopwatch, progress, out),
         "multi": lambda: Result((multi(stopwatch, progress),)),
+        "formulations": lambda: Result((formulations(stopwatch, progress),)),
         "sensitivity": lambda: Result(sensitivity(stopwatch, progress)),
     }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from typing import NamedTuple
 
@@ -42,17 +43,17 @@ class Scene:
     edge_m: float = EDGE_M  # of the square at the start [m]
     last_edge_m: float = EDGE_M  # of the square around the target [m]
 
-    @property
+    @cached_property
     def formation(self) -> Formation:
         """The hemisphere behind the square, at the size of the start."""
         return hemisphere(LEADERS, FOLLOWERS, self.edge_m)
 
-    @property
+    @cached_property
     def start(self) -> Pose:
         """Where the formation starts."""
         return Pose(np.array([0.0, self.edge_m / 2.0, self.edge_m / 2.0]), facing(np.array([1.0, 0.0, 0.0])))
 
-    @property
+    @cached_property
     def leaders_enu_m(self) -> Array:
         """Where the leaders start, shape (4, 3) [m]."""
         return self.formation.place(self.start)[:LEADERS]

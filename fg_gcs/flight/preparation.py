@@ -26,7 +26,6 @@ from fg_gcs.wire.vehicle import Vehicle
 READY_S = 90.0  # ArduCopter needs 41 s from its boot until it can arm; twice that for a slow machine
 TELEMETRY_HZ = (25.0, 10.0)  # of positions: for small swarms, and for those of more than MANY vehicles
 MANY = 50
-PLANNED = ("speed_m_s", "acceleration_m_s2", "climb_m_s", "descent_m_s")  # limits that plans know how to keep
 
 
 async def discover(
@@ -88,13 +87,19 @@ async def prepare(fleet: Fleet, recorder: Recorder) -> None:
 async def vehicle_limits(fleet: Fleet, limits: Limits, recorder: Recorder) -> Limits:
     """Return the mission's limits, lowered to what the vehicles' own parameters allow.
 
+    Jerk is among them where an autopilot shapes streamed setpoints by it. ArduCopter does in GUIDED: whatever the mask,
+    targets pass the position controller's input shaping, whose jerk is ``PSC_JERK_XY``; plans beyond it are flown with
+    a lag and overshot (measured, see docs/autopilots). ``WPNAV_JERK`` shapes its own waypoint legs only. PX4 shapes
+    nothing in OFFBOARD: setpoints go straight to the position controller, and ``MPC_JERK_MAX`` and ``MPC_JERK_AUTO``
+    belong to its manual and automatic modes.
+
     Raises:
         VehicleError: never for an unknown parameter: firmwares differ; its limit then stays the mission's.
     """
 
     def script(vehicle: Vehicle) -> Iterator[Request]:
         for limit in vehicle.manners.limits:
-            for name in limit.names if limit.quantity in PLANNED else ():
+            for name in limit.names:
                 if not any(known in vehicle.params for known in limit.names):
                     # ArduPilot meets an unknown name with silence; a known one it answers within 0.1 s
                     yield replace(read_parameter(name, optional=True), resend_s=0.3, deadline_s=1.0)
@@ -105,7 +110,7 @@ async def vehicle_limits(fleet: Fleet, limits: Limits, recorder: Recorder) -> Li
         for limit in vehicle.manners.limits:
             for name, scale in limit.names.items():
                 value = vehicle.params.get(name, 0.0) * scale
-                if value > 0.0 and limit.quantity in PLANNED:
+                if value > 0.0:
                     lowest[limit.quantity] = min(
                         lowest.get(limit.quantity, (value, name, vehicle.system_id)), (value, name, vehicle.system_id)
                     )

@@ -17,7 +17,7 @@ from fg_gcs.flight.streamer import Brake, Follow, Rest, Streamer
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, plan_home
-from fg_gcs.plan.trajectory import CheckedPlan, check
+from fg_gcs.plan.proof import CheckedPlan, check
 from fg_gcs.wire.autopilots import TakeOff
 from fg_gcs.wire.commands import arm, disarm, land, set_mode, take_off
 from fg_gcs.wire.phases import Phase

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fg_gcs.core.frames import swap_ned_enu
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.link.clock import ticks
-from fg_gcs.plan.trajectory import CheckedPlan, Sample
+from fg_gcs.plan.proof import CheckedPlan
+from fg_gcs.plan.trajectory import Sample
 from fg_gcs.record.recorder import Recorder
 from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
 

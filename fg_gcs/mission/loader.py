@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import get_args
 
-import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from fg_gcs.errors import MissionError
+from fg_gcs.mission.contradictions import contradictions
 from fg_gcs.mission.model import Mission
+from fg_gcs.mission.tables import FOLDER, Problem, Table
 
 MAX_BYTES = 1_000_000  # a mission is some 2 kB; a file hundreds of times larger is not one
-
-
-class Problem(NamedTuple):
-    """What is wrong with which key of which table."""
-
-    table: str  # empty for the top of the file
-    key: str
-    text: str
 
 
 def load_mission(path: Path) -> Mission:
@@ -42,9 +34,12 @@ def load_mission(path: Path) -> Mission:
         raise MissionError(f"{path}: not a TOML file: {' '.join(str(error).split())}") from error
     try:
         # By way of JSON, whose lists the strict model takes for points; TOML's dates become text and are refused there
-        mission = Mission.model_validate_json(json.dumps(tables, default=str))
+        text = json.dumps(tables, default=str)
+        mission = Mission.model_validate_json(text, context={FOLDER: path.parent})
     except ValidationError as error:
-        problems = [_explained(details) for details in error.errors()]
+        found = [_explained(details) for details in error.errors()]
+        # One problem a key, the first: a key of several types is told once for each of them
+        problems = list({(problem.table, problem.key): problem for problem in reversed(found)}.values())[::-1]
     else:
         problems = list(contradictions(mission))
     if problems:
@@ -55,88 +50,47 @@ def load_mission(path: Path) -> Mission:
     return mission
 
 
-def contradictions(mission: Mission) -> Iterator[Problem]:
-    """Yield what is wrong between keys that are each right by themselves."""
-    ids = mission.swarm.ids()
-    vehicles = mission.swarm.vehicles
-    if len(set(ids)) < len(ids):
-        twice = sorted({i for i in ids if ids.count(i) > 1})
-        yield Problem("swarm", "system_ids", f"{twice[0]} occurs twice; accepted: a different id for every vehicle")
-    if len(ids) != vehicles:
-        yield Problem("swarm", "system_ids", f"{len(ids)} ids for {vehicles} vehicles; accepted: {vehicles} ids")
-    fence = mission.fence.box()
-    if not (np.array(fence.low_enu_m) < np.array(fence.high_enu_m)).all():
-        yield Problem("fence", "high_enu_m", "each number must be larger than that of low_enu_m")
-        return  # against a fence without an inside everything else is wrong, too
-    yield from _formation_contradictions(mission)
-    floor = fence.low_enu_m[2]
-    target = mission.target.position_enu_m
-    if target[2] < floor:
-        text = f"up = {target[2]:g} m lies below the floor; accepted: {floor:g} or more ([fence] low_enu_m)"
-        yield Problem("target", "position_enu_m", text)
-    elif fence.excess_m(np.array(target)) > 0:
-        yield Problem("target", "position_enu_m", f"{list(target)} lies outside the fence; accepted: a point inside")
-    if mission.takeoff.height_m < floor:
-        text = f"{mission.takeoff.height_m:g} m is below the floor; accepted: {floor:g} or more ([fence] low_enu_m)"
-        yield Problem("takeoff", "height_m", text)
-    separation = mission.limits.separation_m
-    if mission.pads.spacing_m <= separation:
-        text = f"{mission.pads.spacing_m:g} m; accepted: more than the separation of {separation:g} m"
-        yield Problem("pads", "spacing_m", text)
-
-
-def _formation_contradictions(mission: Mission) -> Iterator[Problem]:
-    table = mission.formation
-    try:
-        formation = table.formation()
-    except ValueError as error:
-        yield Problem("formation", "shape", str(error))
-        return
-    slots, vehicles = len(formation.slots_m), mission.swarm.vehicles
-    if slots != vehicles:
-        text = f"{vehicles} vehicles for {slots} slots of the formation; accepted: {slots}"
-        yield Problem("swarm", "vehicles", text)
-    separation = mission.limits.separation_m
-    if formation.smallest_separation_m < separation:
-        text = (
-            f"{separation:g} m, but the closest slots of the formation are {formation.smallest_separation_m:.2f} m "
-            "apart; accepted: less than that, or a wider formation"
-        )
-        yield Problem("limits", "separation_m", text)
-    try:
-        places = formation.place(table.start())
-    except ValueError as error:
-        yield Problem("formation", "normal_enu", str(error))
-        return
-    excess = mission.fence.box().excess_m(places)
-    if excess.max() > 0:
-        text = f"slot {int(excess.argmax()) + 1} lies {excess.max():.2f} m outside the fence; accepted: a centre inside"
-        yield Problem("formation", "centre_enu_m", text)
-
-
 def _explained(details: ErrorDetails) -> Problem:
     """Turn pydantic's finding into table, key and what would be accepted."""
-    model: type[BaseModel] = Mission
-    names = [str(part) for part in details["loc"]]
+    kinds: list[type[Table]] = [Mission]  # of the table that is looked into; several: its tag comes next
     path: list[str] = []
-    for depth, name in enumerate(names):
-        field = model.model_fields.get(name)
-        inner = field and next((t for t in (field.annotation, *get_args(field.annotation)) if _is_table(t)), None)
-        last = depth == len(names) - 1
-        if details["type"] == "extra_forbidden" and last:
-            kind = "keys" if model is not Mission else "tables and keys"
-            return Problem(".".join(path), name, f"unknown key; accepted {kind}: {', '.join(model.model_fields)}")
-        if field is None or inner is None or last:
-            accepted = field.description if field else "see missions/README.md"
-            found = "missing" if details["type"] == "missing" else f"got {_short(details['input'])}"
-            return Problem(".".join(path), name, f"{found}; accepted: {accepted}")
-        path.append(name)
-        model = inner
-    return Problem("", "", "; ".join((details["msg"], "accepted: the tables that missions/README.md names")))
+    key, accepted, which = "", "the tables that missions/README.md names", ""
+    for depth, part in enumerate(details["loc"]):
+        if not kinds:
+            break  # inside a value: its key is known already
+        if isinstance(part, int):
+            which = f" of target {part + 1}"
+            continue
+        if len(kinds) > 1:
+            kinds = [kind for kind in kinds if _tag(kind) == part]
+            continue
+        path += [key] if key else []
+        key, field = part, kinds[0].model_fields.get(part)
+        if field is None:
+            if details["type"] == "extra_forbidden" and depth == len(details["loc"]) - 1:
+                what = "tables and keys" if kinds[0] is Mission else "keys"
+                text = f"unknown key; accepted {what}: {', '.join(kinds[0].model_fields)}"
+                return Problem(".".join(path), key + which, text)
+            break
+        accepted, kinds = field.description or accepted, _tables(field.annotation)
+    found = "missing" if details["type"] == "missing" else f"got {_short(details['input'])}"
+    if details["type"].startswith("union_tag"):  # the table does not say which one it is
+        tag = details.get("ctx", {}).get("tag")
+        path, key, found = [*path, key], "kind", "missing" if tag is None else f"got {_short(tag)}"
+        accepted = ", ".join(f'"{_tag(kind)}"' for kind in kinds)
+    return Problem(".".join(path), key + (which if path else ""), f"{found}; accepted: {accepted}")
 
 
-def _is_table(annotation: object) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+def _tables(annotation: object) -> list[type[Table]]:
+    """Return the tables that a key may hold."""
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return [annotation]
+    return [table for inner in get_args(annotation) for table in _tables(inner)]
+
+
+def _tag(table: type[Table]) -> str:
+    """Return the ``kind`` of a table that is one of several."""
+    return str(get_args(table.model_fields["kind"].annotation)[0])
 
 
 def _short(value: object) -> str:

@@ -2,40 +2,32 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.core.separation import Fence
+from fg_gcs.mission.moving import MovingTarget, TrackTable
+from fg_gcs.mission.tables import Deviation, Finite, Ground, NotNegative, Point, Positive, SystemId, Table
 from fg_gcs.plan.flight_plan import Task
+from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.plan.targets import Charges, Target, centre_of_charge, effective_radius_m, uncertain
 
 Array = NDArray[np.float64]
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Point = tuple[Finite, Finite, Finite]
-Ground = tuple[Finite, Finite]
-
 DEFAULT_ORIGIN = Geodetic(47.397742, 8.545594, 488.0)  # where PX4's own simulators start, near Zurich
-
-
-class Table(BaseModel):
-    """A table of the file: strict types, no unknown keys, read-only."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
 class SwarmTable(Table):
     """Who flies."""
 
     vehicles: int = Field(ge=3, le=250, description="a whole number from 3 to 250")
-    system_ids: list[Annotated[int, Field(ge=1, le=250)]] | None = Field(
+    system_ids: list[SystemId] | None = Field(
         default=None, description="different whole numbers from 1 to 250, one a vehicle (default: 1, 2, 3, ...)"
     )
 
@@ -91,9 +83,59 @@ class FormationTable(Table):
 
 
 class TargetTable(Table):
-    """What is surrounded."""
+    """What is surrounded: one point or several, and how far they reach."""
 
-    position_enu_m: Point = Field(description="[east, north, up] in metres, above the floor and inside the fence")
+    position_enu_m: Point | None = Field(
+        default=None,
+        description="[east, north, up] in metres, above the floor and inside the fence; or positions_enu_m instead",
+    )
+    positions_enu_m: list[Point] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=1000,
+        description="1 to 1000 points [east, north, up] in metres, above the floor and inside the fence",
+    )
+    weights: list[Positive] | None = Field(
+        default=None, description="numbers above 0, one for each of positions_enu_m (default: all the same)"
+    )
+    source: Literal["centre", "charges"] = Field(
+        default="centre",
+        description='"centre" (one source amid positions_enu_m) or "charges" (one at each; default "centre")',
+    )
+    radius_m: NotNegative = Field(
+        default=0.0,
+        description="radius around the target that the face covers: 0 or more (default 0: it keeps its size)",
+    )
+    sigma_m: Deviation | tuple[Deviation, Deviation, Deviation] | None = Field(
+        default=None, description="standard deviation of the target's place, 0 to 1e6: one number, or [east, north, up]"
+    )
+    confidence: float = Field(
+        default=0.95, gt=0, lt=1, description="probability that the face covers it, between 0 and 1 (default 0.95)"
+    )
+
+    def target(self) -> Target:
+        """Return the target in the planner's words. Radii add up: of the points, of their extent, of the uncertainty.
+
+        Raises:
+            PlanError: numbers so large or so different that they have no centre or radius.
+        """
+        target = self._exact().wider(self.radius_m)
+        if self.sigma_m is None:
+            return target
+        variances = np.broadcast_to(np.square(self.sigma_m), 3)
+        return target.wider(uncertain(target.centre_enu_m, np.diag(variances), self.confidence).radius_m)
+
+    def _exact(self) -> Target:
+        """The target as if its points had no extent and were known exactly."""
+        if self.positions_enu_m is None:
+            assert self.position_enu_m is not None, "the loader refuses targets without a position"
+            return Target.ball(self.position_enu_m)
+        weights = np.ones(len(self.positions_enu_m)) if self.weights is None else np.array(self.weights)
+        weights = weights / weights.max()  # only ratios matter, and the sum of large ones would overflow
+        if self.source == "centre":
+            return centre_of_charge(self.positions_enu_m, weights)
+        charges = Charges(np.array(self.positions_enu_m), weights)
+        return Target(charges, effective_radius_m(charges))
 
 
 class HoldTable(Table):
@@ -102,6 +144,14 @@ class HoldTable(Table):
     duration_s: NotNegative = Field(default=5.0, description="a number, 0 or more (default 5)")
     depth_m: NotNegative = Field(
         default=0.25, description="how far the target lies behind the face, among the swarm: 0 or more (default 0.25)"
+    )
+
+
+class PlanTable(Table):
+    """How paths are searched for."""
+
+    formulation: FormulationName = Field(
+        default="rigid", description='"rigid" (one body) or "free" (each leader moves by itself; default "rigid")'
     )
 
 
@@ -172,8 +222,13 @@ class Mission(Table):
     description: str = Field(default="", description="a line of text for people")
     swarm: SwarmTable = Field(description="a table")
     formation: FormationTable = Field(description="a table")
-    target: TargetTable = Field(description="a table")
+    target: TargetTable | None = Field(default=None, description="a table")
+    targets: list[MovingTarget] | None = Field(
+        default=None, min_length=1, max_length=20, description="1 to 20 tables [[targets]]"
+    )
+    track: TrackTable = Field(default=TrackTable(), description="a table")
     hold: HoldTable = Field(default=HoldTable(), description="a table")
+    plan: PlanTable = Field(default=PlanTable(), description="a table")
     limits: LimitsTable = Field(description="a table")
     fence: FenceTable = Field(description="a table")
     takeoff: TakeoffTable = Field(default=TakeoffTable(), description="a table")
@@ -183,12 +238,19 @@ class Mission(Table):
     simulator: SimulatorTable = Field(default=SimulatorTable(), description="a table")
 
     def task(self) -> Task:
-        """Return the mission in the planner's words, under its own limits alone."""
+        """Return the mission in the planner's words, under its own limits alone.
+
+        Moving targets stand where they are at first.
+
+        Raises:
+            PlanError: the target's numbers are absurd; the loader refuses those.
+            MissionError: a target's file cannot be read, or something in it is wrong.
+        """
         limits = self.limits
         return Task(
             formation=self.formation.formation(),
             start=self.formation.start(),
-            target_enu_m=np.array(self.target.position_enu_m),
+            target=self.first_target(),
             hold_depth_m=self.hold.depth_m,
             rules=Rules(
                 Limits(
@@ -201,7 +263,27 @@ class Mission(Table):
                 limits.separation_m,
                 self.fence.box(),
             ),
+            formulation=self.plan.formulation,
         )
+
+    def first_target(self) -> Target:
+        """Return what is surrounded in the planner's words; moving targets stand where they are at first.
+
+        Several of them count as one around their centre of charge. Its radius is that of all of them, at most that of
+        ``[track] most_radius_m``.
+
+        Raises:
+            PlanError: the target's numbers are absurd; the loader refuses those.
+            MissionError: a target's file cannot be read, or something in it is wrong.
+        """
+        if self.targets is None:
+            assert self.target is not None, "the loader refuses missions without a target"
+            return self.target.target()
+        places = [target.first_enu_m() for target in self.targets]
+        if len(places) == 1:
+            return Target.ball(places[0])
+        group = centre_of_charge(places, [target.weight for target in self.targets])
+        return Target.ball(group.centre_enu_m, min(group.radius_m, self.track.most_radius_m))
 
     def pads_enu_m(self) -> Array:
         """Return the pads of simulated vehicles: a square grid, row by row northwards, shape (V, 2) [m]."""

@@ -15,23 +15,25 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fg_gcs.core.kernels import polygon_flux
 from fg_gcs.plan.rigid_search import (
     ACCEPT,
     FOUND,
     NEAR_RIM,
     ON_RIM,
-    SURROUNDED,
     TOO_MANY,
     TURN_RAD,
     among,
+    centre_of,
+    charged_flux,
     keep,
-    maximise_in_ball,
     place,
     pose_derivatives,
+    slid,
     step_bound,
+    surrounded,
     turned,
 )
+from fg_gcs.plan.trust_region import maximise_in_ball
 
 Array = NDArray[np.float64]
 
@@ -44,16 +46,27 @@ HOLD_RADII = 4.0  # from this many radii of the formation on, the attitude must 
 
 @njit(cache=True)
 def search_inside(
-    rim: Array, points: Array, target: Array, depth: float, start: Array, low: Array, high: Array, poses: Array
+    rim: Array,
+    points: Array,
+    sources: Array,
+    weights: Array,
+    depth: float,
+    start: Array,
+    last_scale: float,
+    low: Array,
+    high: Array,
+    poses: Array,
 ) -> tuple[int, int, int]:
-    """Fill ``poses`` with a path inside the fence up to where the target is surrounded.
+    """Fill ``poses`` with a path inside the fence up to where the target is surrounded, and the slide to its hold.
 
     Args:
         rim: leaders of the template, shape (N, 3) [m].
         points: all slots, or points that enclose them, shape (P, 3) [m].
-        target: shape (3,) [m].
-        depth: of the target behind the face in the hold [m].
+        sources: positions, shape (C, 3) [m].
+        weights: of the sources, shape (C,), their sum is 1.
+        depth: of the centre of charge behind the face in the hold [m].
         start: pose as :func:`fg_gcs.plan.rigid_search.keep` writes it, shape (13,).
+        last_scale: of the template, to reach on the way.
         low: lower corner of the fence, shape (3,) [m].
         high: upper corner, shape (3,) [m].
         poses: room for the path, shape (K, 13).
@@ -61,34 +74,37 @@ def search_inside(
     Returns:
         How it ended (FOUND, ON_RIM or TOO_MANY), the number of poses and the number of steps tried.
     """
-    centre, rotation, scale = start[:3].copy(), start[3:12].copy().reshape(3, 3), start[12]
-    gyration = scale * math.sqrt((rim * rim).sum() / rim.shape[0])
-    radius = scale * math.sqrt((points * points).sum(axis=1).max())
+    target = centre_of(sources, weights)
+    centre, rotation = start[:3].copy(), start[3:12].copy().reshape(3, 3)
+    first_distance = math.sqrt(((target - centre) ** 2).sum())
+    widest = max(start[12], last_scale) * math.sqrt((points * points).sum(axis=1).max())
     vertices = np.empty_like(rim)
     gradient, hessian = np.empty(6), np.empty((6, 6))
     region, bound, count = 1.0, step_bound(centre, rotation, target, math.inf), 1
     poses[0] = start
-    for tried in range(poses.shape[0] - 1):
+    for tried in range(poses.shape[0] - 2):
+        distance = math.sqrt(((target - centre) ** 2).sum())
+        scale = _scale_allowed(start[12], last_scale, distance, first_distance)
+        gyration = scale * math.sqrt((rim * rim).sum() / rim.shape[0])
         place(rim, centre, rotation, scale, vertices)
-        flux = polygon_flux(vertices, target)
-        unwrapped = flux + 4.0 * math.pi if flux < -math.pi else flux
+        flux = charged_flux(vertices, sources, weights)
         hold = target + depth * rotation[:, 0]
-        surrounded = unwrapped > SURROUNDED * 2.0 * math.pi or among(centre, rotation, target, gyration)
-        if surrounded and _worst(points, hold, rotation, scale, low, high)[0] <= OUTSIDE_M:
-            return FOUND, count, tried
-        if not pose_derivatives(vertices, centre, target, NEAR_RIM * gyration, gradient, hessian):
+        arrived = surrounded(vertices, target, len(sources), flux) or among(centre, rotation, target, gyration)
+        if arrived and _worst(points, hold, rotation, last_scale, low, high)[0] <= OUTSIDE_M:
+            return FOUND, slid(poses, count, target, depth, last_scale), tried
+        if not pose_derivatives(vertices, centre, sources, weights, NEAR_RIM * gyration, gradient, hessian):
             return ON_RIM, count, tried
         size = region * bound
         turn = min(size / gyration, TURN_RAD)
         reach = np.array([size, size, size, turn, turn, turn])
-        near = math.sqrt(((target - centre) ** 2).sum()) < HOLD_RADII * radius
+        near = distance < HOLD_RADII * widest
         step, predicted, planes = _bent_step(
             gradient, hessian, reach, flux > 0.0, points, centre, rotation, scale, target, depth, near, low, high
         )
         moved_centre = centre + step[:3]
         moved_rotation = turned(rotation, step[3], step[4], step[5])
         place(rim, moved_centre, moved_rotation, scale, vertices)
-        gained = polygon_flux(vertices, target) - flux
+        gained = charged_flux(vertices, sources, weights) - flux
         before = max(_worst(points, centre, rotation, scale, low, high)[0], OUTSIDE_M)
         inside = _worst(points, moved_centre, moved_rotation, scale, low, high)[0] <= 2.0 * before
         if inside and (gained > ACCEPT * predicted or planes > 0):  # along a plane the way may lead down for a while
@@ -99,7 +115,20 @@ def search_inside(
             bound = step_bound(centre, rotation, target, bound)
         else:
             region *= 0.25
-    return TOO_MANY, count, poses.shape[0] - 1
+    return TOO_MANY, count, poses.shape[0] - 2
+
+
+@njit(cache=True)
+def _scale_allowed(first: float, last: float, distance: float, first_distance: float) -> float:
+    """Scale at least as large as the path's will be here, see :class:`fg_gcs.plan.rigid_path.PosePath`.
+
+    A formation that grows is counted as grown from the start. One that shrinks does so along its whole way, of which
+    it has gone at least the share that it came nearer, as the rest of it is nearly straight.
+    """
+    if last >= first or first_distance == 0.0:
+        return max(first, last)
+    x = min(max(1.0 - distance / first_distance, 0.0), 1.0)
+    return first + (last - first) * x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
 @njit(cache=True)
@@ -213,3 +242,20 @@ def _worst(
             if value - high[k] > outside:
                 outside, point, axis, sign = value - high[k], i, k, -1.0
     return outside, point, axis, sign
+
+
+@njit(cache=True)
+def furthest_outside(poses: Array, points: Array, low: Array, high: Array) -> float:
+    """Return by how much a point of the body leaves the box in any pose, negative inside [m].
+
+    Args:
+        poses: shape (K, 13), as :func:`fg_gcs.plan.rigid_search.keep` writes them.
+        points: of the body, shape (P, 3) [m; template].
+        low: lower corner of the box, shape (3,) [m].
+        high: upper corner, shape (3,) [m].
+    """
+    outside = -math.inf
+    for row in range(len(poses)):
+        rotation = poses[row, 3:12].copy().reshape(3, 3)
+        outside = max(outside, _worst(points, poses[row, :3], rotation, poses[row, 12], low, high)[0])
+    return outside

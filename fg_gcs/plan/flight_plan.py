@@ -13,10 +13,11 @@ from fg_gcs.core.coverage import FACING, coverage, flux_metric
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.flux_guided import FluxPath, plan_path
+from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.rigid_path import PosePath
-from fg_gcs.plan.trajectory import CheckedPlan, Peaks, check, timed
+from fg_gcs.plan.proof import CheckedPlan, check
+from fg_gcs.plan.targets import Target
+from fg_gcs.plan.trajectory import Peaks, timed
 from fg_gcs.plan.transit import NOTHING, Transit, gather, scatter
 
 Array = NDArray[np.float64]
@@ -31,13 +32,28 @@ class Task:
 
     formation: Formation
     start: Pose  # where the formation gathers
-    target_enu_m: Array  # (3,) the point to surround [m]
-    hold_depth_m: float  # how far the target lies behind the face during the hold [m]
+    target: Target  # what to surround; a radius changes the formation's size on the way
+    hold_depth_m: float  # how far the target's centre lies behind the face during the hold [m]
     rules: Rules
+    formulation: FormulationName = "rigid"
+
+    @property
+    def target_enu_m(self) -> Array:
+        """The centre of the target, shape (3,) [m]."""
+        return self.target.centre_enu_m
+
+    @property
+    def last_scale(self) -> float:
+        """Scale of the formation around the target.
+
+        Raises:
+            PlanError: no scale makes the face hold the target.
+        """
+        return self.target.last_scale(self.formation, self.start.scale)
 
 
 class ApproachFigures(NamedTuple):
-    """What the approach is like; path lengths are sums over the leaders."""
+    """What the approach is like; lengths are sums over the leaders, flux and coverage those of the target's centre."""
 
     path_length_m: float
     straight_length_m: float
@@ -45,6 +61,7 @@ class ApproachFigures(NamedTuple):
     flux_metric: float
     coverage_mean: float
     coverage_min_after_facing: float
+    last_scale: float  # of the formation around the target, times its template
 
 
 @dataclass(frozen=True)
@@ -85,16 +102,16 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
     Raises:
         PlanError: some part of the flight has no plan that keeps the rules.
     """
-    slots = task.formation.slots_m
-    if len(tops_enu_m) != len(slots):
-        raise PlanError(f"the formation has {len(slots)} slots, but there are {len(tops_enu_m)} vehicles")
-    began = stopwatch()
-    fence = task.rules.fence
-    path = plan_path(task.formation, task.start, task.target_enu_m, task.hold_depth_m, fence=fence)
-    found = stopwatch()
+    slots = len(task.formation.slots_m)
+    if len(tops_enu_m) != slots:
+        raise PlanError(f"the formation has {slots} slots, but there are {len(tops_enu_m)} vehicles")
     rules = task.rules
+    search = FORMULATIONS[task.formulation]
+    began = stopwatch()
+    path = search(task.formation, task.start, task.target.source, task.hold_depth_m, task.last_scale, rules.fence)
+    found = stopwatch()
     into = gather(tops_enu_m, task.formation.place(task.start), rules)
-    approach = check([timed(PosePath(slots[into.goal_of], path.poses), rules.limits)], rules, task.target_enu_m)
+    approach = check([timed(path.swarm_path(into.goal_of), rules.limits)], rules, task.target_enu_m)
     hold = approach.sample(np.array([approach.duration_s])).position_m[0]
     home = plan_home(hold, tops_enu_m, task)
     rim = np.argsort(into.goal_of)[: len(task.formation.leaders_m)]
@@ -104,7 +121,7 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
         home=check(home.pieces, rules, task.target_enu_m),
         slot_of=into.goal_of,
         rim_of=rim,
-        figures=_figures(task, path, approach, rim),
+        figures=_figures(task, path.iterates, approach, rim),
         plan_time_s=found - began,
         timing_time_s=stopwatch() - found,
     )
@@ -121,7 +138,7 @@ def plan_home(position_enu_m: Array, tops_enu_m: Array, task: Task, obstacles_m:
     return scatter(position_enu_m, tops_enu_m, task.rules, obstacles_m)
 
 
-def _figures(task: Task, path: FluxPath, approach: CheckedPlan, rim: Indices) -> ApproachFigures:
+def _figures(task: Task, iterates: int, approach: CheckedPlan, rim: Indices) -> ApproachFigures:
     instants = np.linspace(0.0, approach.duration_s, max(2, int(approach.duration_s * FIGURES_HZ) + 1))
     rims = approach.sample(instants).position_m[:, rim]  # (T, N, 3)
     covered = coverage(rims, task.target_enu_m)
@@ -130,8 +147,9 @@ def _figures(task: Task, path: FluxPath, approach: CheckedPlan, rim: Indices) ->
     return ApproachFigures(
         path_length_m=float(np.linalg.norm(np.diff(rims, axis=0), axis=2).sum()),
         straight_length_m=float(len(rim) * straight_m),
-        iterates=path.iterates,
+        iterates=iterates,
         flux_metric=float(flux_metric(rims[-1:], task.target_enu_m)[0]),
         coverage_mean=float(covered.mean()),
         coverage_min_after_facing=float(covered[facing:].min()),
+        last_scale=task.last_scale,
     )

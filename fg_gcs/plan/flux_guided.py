@@ -17,8 +17,6 @@ Two things the flux alone leaves open are decided here:
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,18 +25,20 @@ from numpy.typing import NDArray
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.fenced_search import search_inside
-from fg_gcs.plan.rigid_search import FOUND, ON_RIM, TOO_MANY, search
+from fg_gcs.plan.fenced_search import furthest_outside, search_inside
+from fg_gcs.plan.poses import Poses
+from fg_gcs.plan.rigid_search import FOUND, NO_NUMBERS, ON_RIM, TOO_MANY, centre_of, search
+from fg_gcs.plan.targets import Charges
 
 Array = NDArray[np.float64]
 
 MAX_STEPS = 400  # a plan takes some 30; beyond this something is wrong, and saying so beats hanging
 SLIDE_M = 0.3  # longest part of the last slide of a bent path
 MARGIN_M = 0.1  # a bent path keeps this far inside: its spline bulges between the poses
-SAME = 1e-9  # metres, radians and shares below which two poses are one
+ONE = np.ones(1)  # the weight of a single source
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FluxPath:
     """The poses that the face passes, from its start to its hold around the target.
 
@@ -46,14 +46,14 @@ class FluxPath:
     :class:`fg_gcs.plan.rigid_path.PosePath`; in between the poses tell the scale that the search counted with.
     """
 
-    poses: tuple[Pose, ...]
+    poses: Poses
     iterates: int  # steps of the trust-region method, refused ones included
 
 
 def plan_path(
     formation: Formation,
     start: Pose,
-    target_enu_m: Array,
+    target: Array | Charges,
     hold_depth_m: float = 0.0,
     last_scale: float | None = None,
     fence: Fence | None = None,
@@ -63,7 +63,8 @@ def plan_path(
     Args:
         formation: slots around the face's centre.
         start: where the face is.
-        target_enu_m: the point source, shape (3,) [m].
+        target: a point source, shape (3,) [m; ENU], or several sources whose flux is summed. Several are surrounded
+            at their centre of charge: the face goes where their flux is largest, and from there straight to it.
         hold_depth_m: how far the target finally lies behind the face, among the swarm, >= 0 [m].
         last_scale: scale of the formation at the end; None: it stays as it is.
         fence: the box that no vehicle may leave; where the flux would take one out, the path is bent.
@@ -72,73 +73,77 @@ def plan_path(
         PlanError: target, start or scale are no numbers, the target lies on the rim, is not reached, or cannot be
             surrounded inside the fence.
     """
-    target = np.array(target_enu_m, dtype=float)
-    goal = start.scale if last_scale is None else last_scale
-    _check_numbers(start, target, goal)
-    first = np.concatenate((start.centre_enu_m, np.ravel(start.rotation), [start.scale])).astype(float)
-    room = np.empty((MAX_STEPS + 1, 13))
-    centre, rotation = first[:3].copy(), first[3:12].copy().reshape(3, 3)
-    ended, count, steps = search(formation.leaders_m, target, centre, rotation, start.scale, goal, room)
-    poses = _poses(start, room, count, target, hold_depth_m, goal)
+    if isinstance(target, Charges):
+        sources, weights = target.positions_enu_m, target.weights / target.weights.sum()
+    else:
+        sources, weights = np.array(target, dtype=float, ndmin=2), ONE
+    goal = float(start.scale if last_scale is None else last_scale)
+    first = np.empty(13)
+    first[:3], first[3:12], first[12] = start.centre_enu_m, np.ravel(start.rotation), start.scale
+    room = np.empty((MAX_STEPS + 2, 13))
+    ended, count, steps = search(formation.leaders_m, sources, weights, hold_depth_m, first, goal, room)
+    poses = Poses(room[:count])
     if fence is not None and ended == FOUND and _outside_m(formation, poses, fence) > 0.0:
-        low, high = np.array(fence.low_enu_m) + MARGIN_M, np.array(fence.high_enu_m) - MARGIN_M
-        points = formation.slots_m
-        ended, count, tried = search_inside(formation.leaders_m, points, target, hold_depth_m, first, low, high, room)
+        ended, poses, tried = _bent(formation, sources, weights, hold_depth_m, first, goal, fence)
         steps += tried
-        poses = _subdivided(_poses(start, room, count, target, hold_depth_m, goal))
-        if ended == TOO_MANY:
-            least_m = _outside_m(formation, poses[-1:], fence) + MARGIN_M
-            raise PlanError(
-                f"the formation does not fit around the target {_place(target)} inside the fence: it would be "
-                f"{least_m:.2f} m outside; move the target or the fence by as much, or make the formation smaller"
-            )
+    if ended == NO_NUMBERS:
+        raise _no_numbers(start, sources, goal)
     if ended == ON_RIM:
-        raise PlanError(f"the target {_place(target)} lies on the rim of the formation; move either of them")
+        raise PlanError(f"the target {_place(sources[0])} lies on the rim of the formation; move either of them")
     if ended != FOUND:
-        raise PlanError(f"no flux-guided path to {_place(target)} within {MAX_STEPS} steps")
-    return FluxPath(tuple(poses), steps)
+        raise PlanError(f"no flux-guided path to {_place(sources[0])} within {MAX_STEPS} steps")
+    return FluxPath(poses, steps)
 
 
-def _check_numbers(start: Pose, target: Array, last_scale: float) -> None:
-    if not all(map(math.isfinite, target.tolist())):
-        raise PlanError(f"the target must be three finite numbers, got {_place(target)}")
-    if not all(map(math.isfinite, (*start.centre_enu_m, *start.rotation.ravel().tolist()))):
-        raise PlanError("the start must have a finite centre and attitude")
-    if not (0.0 < start.scale < np.inf and 0.0 < last_scale < np.inf):
-        raise PlanError(f"scales must be positive numbers, got {start.scale} and {last_scale}")
+def _bent(
+    formation: Formation, sources: Array, weights: Array, depth_m: float, first: Array, last_scale: float, fence: Fence
+) -> tuple[int, Poses, int]:
+    """Search inside the fence: how it ended, the poses and the steps tried.
+
+    Raises:
+        PlanError: the formation does not fit around the target.
+    """
+    low, high = np.array(fence.low_enu_m) + MARGIN_M, np.array(fence.high_enu_m) - MARGIN_M
+    room = np.empty((MAX_STEPS + 2, 13))
+    ended, count, tried = search_inside(
+        formation.leaders_m, formation.slots_m, sources, weights, depth_m, first, last_scale, low, high, room
+    )
+    if ended == TOO_MANY:
+        normal = room[count - 1, 3:12:3]
+        hold = room[count - 1].copy()
+        hold[:3], hold[12] = centre_of(sources, weights) + depth_m * normal, last_scale
+        least_m = _outside_m(formation, Poses(hold[None]), fence) + MARGIN_M
+        raise PlanError(
+            f"the formation does not fit around the target {_place(centre_of(sources, weights))} inside the fence: it "
+            f"would be {least_m:.2f} m outside; move the target or the fence by as much, or make the formation smaller"
+        )
+    return ended, _subdivided(room[:count]), tried
 
 
-def _poses(start: Pose, room: Array, count: int, target: Array, depth_m: float, scale: float) -> list[Pose]:
-    """The poses that a search wrote, and the hold that follows them."""
-    rows = room[1:count].copy()
-    poses = [start, *map(Pose, rows[:, :3], rows[:, 3:12].reshape(-1, 3, 3), rows[:, 12].tolist())]
-    hold = Pose(target + depth_m * poses[-1].rotation[:, 0], poses[-1].rotation, scale)
-    return [*poses, hold] if _differ(poses[-1], hold) else poses
+def _no_numbers(start: Pose, sources: Array, last_scale: float) -> PlanError:
+    if not np.isfinite(sources).all():
+        return PlanError(f"the target must be three finite numbers, got {_place(sources[0])}")
+    if not (np.isfinite(start.centre_enu_m).all() and np.isfinite(start.rotation).all()):
+        return PlanError("the start must have a finite centre and attitude")
+    return PlanError(f"scales must be positive numbers, got {start.scale} and {last_scale}")
 
 
-def _subdivided(poses: list[Pose]) -> list[Pose]:
+def _subdivided(rows: Array) -> Poses:
     """Divide the last slide into short ones: a spline through close poses hardly bulges where the slide begins."""
-    if len(poses) < 2:
-        return poses
-    before, hold = poses[-2:]
-    parts = int(np.ceil(np.linalg.norm(hold.centre_enu_m - before.centre_enu_m) / SLIDE_M))
-    shares = np.linspace(0.0, 1.0, max(parts, 1) + 1)[1:-1]
-    between = [before.centre_enu_m + share * (hold.centre_enu_m - before.centre_enu_m) for share in shares]
-    return [*poses[:-1], *(Pose(centre, hold.rotation, before.scale) for centre in between), hold]
+    if len(rows) < 2:
+        return Poses(rows)
+    before, hold = rows[-2:]
+    parts = max(1, int(np.ceil(np.linalg.norm(hold[:3] - before[:3]) / SLIDE_M)))
+    between = np.repeat(hold[None], parts - 1, axis=0)
+    shares = np.arange(1, parts)[:, None] / parts
+    between[:, :3] = before[:3] + shares * (hold[:3] - before[:3])
+    return Poses(np.concatenate((rows[:-1], between, rows[-1:])))
 
 
-def _outside_m(formation: Formation, poses: Sequence[Pose], fence: Fence) -> float:
+def _outside_m(formation: Formation, poses: Poses, fence: Fence) -> float:
     """By how much the formation leaves the fence in any of the poses, negative inside [m]."""
-    return max(float(fence.excess_m(formation.place(pose)).max()) for pose in poses)
+    return furthest_outside(poses.rows, formation.slots_m, np.array(fence.low_enu_m), np.array(fence.high_enu_m))
 
 
 def _place(point: Array) -> str:
     return "(" + ", ".join(f"{value:g}" for value in point) + ")"
-
-
-def _differ(one: Pose, other: Pose) -> bool:
-    return bool(
-        abs(one.scale - other.scale) > SAME
-        or np.abs(one.centre_enu_m - other.centre_enu_m).max() > SAME
-        or np.abs(one.rotation - other.rotation).max() > SAME
-    )

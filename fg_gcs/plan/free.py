@@ -47,7 +47,6 @@ Array = NDArray[np.float64]
 MAX_STEPS = 1000  # a plan takes some 40; beyond this something is wrong, and saying so beats hanging
 PAIR_SHARE = 0.95  # least distance of leaders that are no neighbours, of that in the formation's own shape: no folding
 SMALLEST_SHARE = 0.97  # least distance of any pair, of the smallest in the shape: 0.95 and a reserve for the spline
-SAME_PLACE = 1e-6  # of the face's size: vehicles nearer than this stand in one place
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def plan_leaders(formation: Formation, start: Pose, target_enu_m: Array, hold_de
         hold_depth_m: how far the target finally lies behind the face, among the swarm, >= 0 [m].
 
     Raises:
-        PlanError: the target is not finite, lies on the rim, or is not reached; two leaders coincide.
+        PlanError: target or start are no numbers, or the target lies on the rim or is not reached.
     """
     target = np.array(target_enu_m, dtype=float)
     centre, rotation = np.array(start.centre_enu_m, dtype=float), np.array(start.rotation, dtype=float, order="C")
@@ -104,18 +103,12 @@ def plan_leaders(formation: Formation, start: Pose, target_enu_m: Array, hold_de
 
 
 def shape_of(formation: Formation, scale: float = 1.0) -> Shape:
-    """Return the edges to hold and the pairs to keep apart.
-
-    Raises:
-        PlanError: two neighbouring leaders coincide, or a leader and another vehicle do.
-    """
+    """Return the edges to hold and the pairs to keep apart."""
     slots, count = scale * formation.slots_m, len(formation.leaders_m)
     size = scale * formation.gyration_m
     distances = np.linalg.norm(slots[:count, None] - slots[None], axis=2)  # (N, V)
     first, second = np.triu_indices(count, k=1, m=len(slots))
     nearest = float(distances[first, second].min())
-    if not nearest > SAME_PLACE * size:
-        raise PlanError("two vehicles of the formation stand in one place; give every vehicle a slot of its own")
     neighbours = (second < count) & ((second - first == 1) | (second - first == count - 1))
     first, second = first[~neighbours], second[~neighbours]
     own = np.where(second < count, PAIR_SHARE * distances[first, second], 0.0)

@@ -26,8 +26,8 @@ from fg_gcs.plan.rigid_search import (
     TOO_MANY,
     TURN_RAD,
     TURNED,
-    maximise_in_ball,
 )
+from fg_gcs.plan.trust_region import maximise_in_ball
 
 Array = NDArray[np.float64]
 

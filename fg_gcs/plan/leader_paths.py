@@ -10,9 +10,11 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from fg_gcs.core.formation import Formation
 from fg_gcs.core.separation import closest_approach
 from fg_gcs.plan.free import LeaderPath
-from fg_gcs.plan.paths import Approach, PathPoint, thinned
+from fg_gcs.plan.paths import Approach, PathPoint, SwarmPath, thinned
+from fg_gcs.plan.rigid_path import OUTLINED, ball_points
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 LOOKS = 8  # at each span for the closest pair: shapes change by centimetres a span, so that eight looks miss nothing
 
@@ -28,8 +30,14 @@ class LeadersPath:
     The parameter sums the moves of the vehicle that moves furthest from iterate to iterate.
     """
 
-    def __init__(self, formation: Formation, path: LeaderPath) -> None:
-        """Take the formation that was planned for and its leaders' path."""
+    def __init__(self, formation: Formation, path: LeaderPath, slot_of: Indices | None = None) -> None:
+        """Take the formation that was planned for, its leaders' path and the slot of every vehicle.
+
+        Args:
+            formation: its slots, leaders first.
+            path: where the leaders pass.
+            slot_of: vehicle v stands in slot ``slot_of[v]``, shape (V,); without it in slot v.
+        """
         places = path.swarm_m(formation)  # (K, V, 3)
         moves_m = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
         ways_m = np.concatenate(([0.0], np.cumsum(moves_m)))
@@ -44,6 +52,7 @@ class LeadersPath:
         self._attitude = RotationSpline(support_m, Rotation.from_matrix(rotations[kept]))
         self._leaders = CubicSpline(support_m, slots[kept, : len(formation.leaders_m)], bc_type="natural")
         self._followers_m = slots[0, len(formation.leaders_m) :]
+        self._slot_of = np.arange(slots.shape[1]) if slot_of is None else slot_of
 
     @property
     def knots_m(self) -> Array:
@@ -55,12 +64,31 @@ class LeadersPath:
         """Sum of the largest moves of a vehicle from iterate to iterate [m]."""
         return float(self._knots_m[-1])
 
+    @property
+    def vehicles(self) -> int:
+        """Number of vehicles."""
+        return len(self._slot_of)
+
+    @property
+    def outline(self) -> SwarmPath:
+        """The leaders, and few points that enclose all followers.
+
+        Velocity and acceleration of a follower are affine in its slot, so their norms are convex: none exceeds the
+        largest of any points around all of them. Few followers are their own outline; many get the corners around a
+        ball.
+        """
+        return self if len(self._followers_m) <= OUTLINED else _Outline(self, self._followers_m)
+
     def at(self, s_m: Array) -> PathPoint:
         """Return the swarm at the parameters ``s_m``, shape (S,)."""
+        return PathPoint(*(np.take(one, self._slot_of, axis=1) for one in self.points_at(s_m, self._followers_m)))
+
+    def points_at(self, s_m: Array, followers_m: Array) -> PathPoint:
+        """Return the leaders and any points that stand in their frame, shape (P, 3) [m; template], in this order."""
         rotation = self._attitude(s_m).as_matrix()  # (S, 3, 3)
         rate = np.einsum("sij,sj->si", rotation, self._attitude(s_m, 1))[:, None, :]  # from own axes to ENU
         growth = np.einsum("sij,sj->si", rotation, self._attitude(s_m, 2))[:, None, :]
-        arms = np.einsum("sij,svj->svi", rotation, self._slots(s_m))
+        arms = np.einsum("sij,svj->svi", rotation, self._slots(s_m, followers_m))
         bend = np.zeros_like(arms)
         second_bend = np.zeros_like(arms)
         leaders = self._leaders.c.shape[2]
@@ -81,13 +109,34 @@ class LeadersPath:
         shares = np.arange(LOOKS) / LOOKS
         inner = self._knots_m[:-1, None] + np.diff(self._knots_m)[:, None] * shares
         samples = np.append(inner.ravel(), self._knots_m[-1])
-        slots = self._slots(samples)
+        slots = self._slots(samples, self._followers_m)
         if slots.shape[1] < 2:
             return Approach(np.inf, 0.0, (0, 0))
         found = closest_approach(slots, samples)
-        return Approach(found.distance_m, found.time_s, found.pair)
+        one, other = sorted(np.argsort(self._slot_of)[list(found.pair)].tolist())  # the vehicles in these two slots
+        return Approach(found.distance_m, found.time_s, (one, other))
 
-    def _slots(self, s_m: Array) -> Array:
-        """Return all vehicles in the moving frame, shape (S, V, 3) [m; template]."""
-        followers = np.broadcast_to(self._followers_m, (len(s_m), *self._followers_m.shape))
+    def _slots(self, s_m: Array, followers_m: Array) -> Array:
+        """Return all slots in the moving frame, leaders first, shape (S, V, 3) [m; template]."""
+        followers = np.broadcast_to(followers_m, (len(s_m), *followers_m.shape))
         return np.concatenate((self._leaders(s_m), followers), axis=1)
+
+
+class _Outline:
+    """The leaders, and points of the followers' frame that enclose all of these."""
+
+    def __init__(self, body: LeadersPath, followers_m: Array) -> None:
+        self.knots_m, self.length_m = body.knots_m, body.length_m
+        self._body = body
+        self._points_m = float(np.linalg.norm(followers_m, axis=1).max()) * ball_points()
+        self.vehicles = body.vehicles - len(followers_m) + len(self._points_m)
+
+    @property
+    def outline(self) -> _Outline:
+        return self
+
+    def at(self, s_m: Array) -> PathPoint:
+        return self._body.points_at(s_m, self._points_m)
+
+    def closest(self) -> Approach:
+        return self._body.closest()

@@ -85,9 +85,8 @@ class LinePath:
 
     def at(self, s_m: Array) -> PathPoint:
         """Return the swarm at the parameters ``s_m``, shape (S,)."""
-        shape = (len(s_m), *self._slope.shape)
-        first = np.broadcast_to(self._slope, shape)
-        return PathPoint(self._start_m + s_m[:, None, None] * self._slope, first, np.zeros(shape))
+        first = np.repeat(self._slope[None], len(s_m), axis=0)
+        return PathPoint(self._start_m + s_m[:, None, None] * self._slope, first, np.zeros_like(first))
 
     @property
     def outline(self) -> SwarmPath:
@@ -109,9 +108,10 @@ def thinned(ways_m: Array) -> list[int]:
     Args:
         ways_m: cumulative way to every place, shape (K,), K >= 1 [m]; a single place counts as first and last.
     """
-    last = len(ways_m) - 1
+    ways = ways_m.tolist()  # plain numbers: an array gives them out one by one ten times slower
+    last = len(ways) - 1
     kept = [0]
     for index in range(1, last):
-        if min(ways_m[index] - ways_m[kept[-1]], ways_m[last] - ways_m[index]) >= KNOT_M:
+        if min(ways[index] - ways[kept[-1]], ways[last] - ways[index]) >= KNOT_M:
             kept.append(index)
     return [*kept, last]

@@ -9,17 +9,15 @@ from functools import cache
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from fg_gcs.core.formation import Pose
 from fg_gcs.plan.paths import Approach, PathPoint, SwarmPath, thinned
+from fg_gcs.plan.poses import Poses
+from fg_gcs.plan.splines import Vector, cross, mix, natural_cubic, rotation_spline, turning
 
 Array = NDArray[np.float64]
 
 OUTLINED = 64  # above this many slots a ball stands for the swarm: costs some percent of the turn, saves all the time
-SMALL_ANGLE2 = 1e-4  # squared angle below which series replace quotients of small numbers; their error is 1e-13
 
 
 class PosePath:
@@ -33,24 +31,18 @@ class PosePath:
 
     def __init__(self, slots_m: Array, poses: Sequence[Pose]) -> None:
         """Take the slots in the order of the vehicles, shape (V, 3) [m; template], and one pose or more."""
-        radius_m = float(np.linalg.norm(slots_m, axis=1).max())
-        centres = np.array([pose.centre_enu_m for pose in poses])
-        rotations = np.array([pose.rotation for pose in poses])
-        chords_m = _chords(centres, rotations, np.array([pose.scale for pose in poses]), radius_m)
-        kept = thinned(chords_m)
+        rows = poses if isinstance(poses, Poses) else Poses.of(poses)
+        centres, rotations, scales = rows.centres_enu_m, rows.rotations, rows.scales
         self._slots_m = np.ascontiguousarray(slots_m)
-        self._knots_m = chords_m[kept]
-        self._scales = np.array([poses[0].scale, poses[-1].scale])
+        self._radius_m = math.sqrt((self._slots_m**2).sum(axis=1).max())
+        ways_m = _ways(centres, rotations, scales, self._radius_m)
+        kept = thinned(ways_m)
+        self._knots_m = ways_m[kept]
+        self._scales = scales[[0, -1]]
         # A path of one pose has no length, but a spline needs two places for it
         support_m = self._knots_m if self.length_m > 0.0 else np.array([0.0, 1.0])
-        turns = RotationSpline(support_m, Rotation.from_matrix(rotations[kept]))
-        self._splines = (
-            support_m,
-            CubicSpline(support_m, centres[kept], bc_type="natural").c,
-            turns.rotations.as_matrix(),
-            turns.interpolator.c,
-            self._scales,
-        )
+        attitudes, turns = rotation_spline(support_m, rotations[kept])
+        self._splines = (support_m, natural_cubic(support_m, centres[kept]), attitudes, turns, self._scales)
 
     @property
     def knots_m(self) -> Array:
@@ -75,6 +67,10 @@ class PosePath:
         """Return any points of the same rigid body, shape (P, 3) [m; template], at the parameters ``s_m``."""
         return PathPoint(*_rigid_points(np.asarray(s_m, dtype=float), *self._splines, points_m))
 
+    def of_points(self, points_m: Array) -> SwarmPath:
+        """Return the path of other points of the same body, shape (P, 3) [m; template], with the same parameter."""
+        return _Points(self, points_m)
+
     @property
     def outline(self) -> SwarmPath:
         """The path of a few points that enclose all slots.
@@ -84,32 +80,28 @@ class PosePath:
         """
         if len(self._slots_m) <= OUTLINED:
             return self
-        return _Ball(self, float(np.linalg.norm(self._slots_m, axis=1).max()))
+        return self.of_points(outline_of(self._slots_m))
 
     def closest(self) -> Approach:
         """Return the closest pair of the template where the formation is smallest: a rigid shape has no other."""
         if len(self._slots_m) < 2:
             return Approach(np.inf, 0.0, (0, 0))
-        found, neighbours = cKDTree(self._slots_m).query(self._slots_m, k=[2])
-        distances, nearest = np.asarray(found)[:, 0], np.asarray(neighbours)[:, 0]
-        one = int(distances.argmin())
-        other = int(nearest[one])
+        distance_m, pair = _closest_pair(self._slots_m)
         where_m = 0.0 if self._scales[0] <= self._scales[1] else self.length_m
-        pair = (min(one, other), max(one, other))
-        return Approach(float(distances[one] * self._scales.min()), where_m, pair)
+        return Approach(float(distance_m * self._scales.min()), where_m, pair)
 
 
-class _Ball:
-    """Points of a rigid formation's body that enclose all its slots."""
+class _Points:
+    """Points of a rigid formation's body, on its path."""
 
-    def __init__(self, body: PosePath, radius_m: float) -> None:
+    def __init__(self, body: PosePath, points_m: Array) -> None:
         self.knots_m, self.length_m = body.knots_m, body.length_m
         self._body = body
-        self._points_m = radius_m * ball_points()
-        self.vehicles = len(self._points_m)
+        self._points_m = points_m
+        self.vehicles = len(points_m)
 
     @property
-    def outline(self) -> _Ball:
+    def outline(self) -> _Points:
         return self
 
     def at(self, s_m: Array) -> PathPoint:
@@ -117,6 +109,14 @@ class _Ball:
 
     def closest(self) -> Approach:
         return self._body.closest()
+
+
+def outline_of(slots_m: Array) -> Array:
+    """Return slots, shape (V, 3), or a few points that enclose them if they are many, shape (P, 3) [m; template]."""
+    if len(slots_m) <= OUTLINED:
+        return slots_m
+    outline: Array = math.sqrt((slots_m**2).sum(axis=1).max()) * ball_points()
+    return outline
 
 
 @cache
@@ -137,121 +137,143 @@ def _rigid_points(
     """Positions of all slots and their derivatives at S places, each (S, V, 3).
 
     Within a span the centre ``c`` and the rotation vector ``f`` from the span's first attitude are cubic polynomials,
-    highest power first. ``r`` is a slot's arm turned to ENU, ``w`` and ``w'`` the turning rate and its growth, ``k``
+    highest power first. ``r`` is a template axis turned to ENU, ``w`` and ``w'`` the turning rate and its growth, ``k``
     the scale: ``q = c + k r``, ``q' = c' + k' r + k w x r``, ``q'' = c'' + k'' r + 2 k' w x r + k (w' x r + w x (w x
-    r))``.
+    r))``. All this is affine in the slot: it is worked out for the three axes, and every slot adds up its shares.
     """
-    places, vehicles, spans = len(s_m), len(slots), len(knots) - 1
+    places, vehicles, last = len(s_m), len(slots), len(knots) - 2
     position = np.empty((places, vehicles, 3))
     first, second = np.empty((places, vehicles, 3)), np.empty((places, vehicles, 3))
-    c = np.empty((3, 3))
-    f = np.empty((3, 3))
-    rotation, w, g, r = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    rotation, axes = np.empty((3, 3)), np.empty((3, 3))
+    axes1, axes2 = np.empty((3, 3)), np.empty((3, 3))  # derivatives of the template's axes with their scale
+    span = 0
     for i in range(places):
-        span = min(max(np.searchsorted(knots, s_m[i], side="right") - 1, 0), spans - 1)
-        t = s_m[i] - knots[span]
-        for k in range(3):
-            _polynomial(centres[:, span, k], t, c[:, k])
-            _polynomial(turns[:, span, k], t, f[:, k])
-        _attitude(attitudes[span], f, rotation, w, g)
+        while span < last and s_m[i] >= knots[span + 1]:
+            span += 1
+        while span > 0 and s_m[i] < knots[span]:
+            span -= 1
+        c, c1, c2 = _polynomial(centres, span, s_m[i] - knots[span])
+        f, f1, f2 = _polynomial(turns, span, s_m[i] - knots[span])
+        w, g = _attitude(attitudes, span, f, f1, f2, rotation)
         x, grown = min(max(s_m[i] / knots[-1], 0.0), 1.0), scales[1] - scales[0]
         k0 = scales[0] + grown * x * x * x * (10.0 + x * (6.0 * x - 15.0))
         k1 = grown * 30.0 * (x * (1.0 - x)) ** 2 / knots[-1]
         k2 = grown * 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / knots[-1] ** 2
-        for v in range(vehicles):
+        for axis in range(3):
+            r = (rotation[0, axis], rotation[1, axis], rotation[2, axis])
+            swing = cross(w, r)
+            bend = mix(1.0, cross(g, r), 1.0, cross(w, swing))
             for k in range(3):
-                r[k] = rotation[k, 0] * slots[v, 0] + rotation[k, 1] * slots[v, 1] + rotation[k, 2] * slots[v, 2]
-            tx, ty, tz = w[1] * r[2] - w[2] * r[1], w[2] * r[0] - w[0] * r[2], w[0] * r[1] - w[1] * r[0]
-            swing = (tx, ty, tz)
-            bend = (
-                g[1] * r[2] - g[2] * r[1] + w[1] * tz - w[2] * ty,
-                g[2] * r[0] - g[0] * r[2] + w[2] * tx - w[0] * tz,
-                g[0] * r[1] - g[1] * r[0] + w[0] * ty - w[1] * tx,
-            )
-            for k in range(3):
-                position[i, v, k] = c[0, k] + k0 * r[k]
-                first[i, v, k] = c[1, k] + k1 * r[k] + k0 * swing[k]
-                second[i, v, k] = c[2, k] + k2 * r[k] + 2.0 * k1 * swing[k] + k0 * bend[k]
+                axes[k, axis] = k0 * r[k]
+                axes1[k, axis] = k1 * r[k] + k0 * swing[k]
+                axes2[k, axis] = k2 * r[k] + 2.0 * k1 * swing[k] + k0 * bend[k]
+        _place(c, axes, slots, i, position)
+        _place(c1, axes1, slots, i, first)
+        _place(c2, axes2, slots, i, second)
     return position, first, second
 
 
 @njit(cache=True)
-def _polynomial(powers: Array, t: float, out: Array) -> None:
-    """A cubic polynomial and its two derivatives."""
-    out[0] = ((powers[0] * t + powers[1]) * t + powers[2]) * t + powers[3]
-    out[1] = (3.0 * powers[0] * t + 2.0 * powers[1]) * t + powers[2]
-    out[2] = 6.0 * powers[0] * t + 2.0 * powers[1]
+def _place(centre: Vector, axes: Array, slots: Array, row: int, out: Array) -> None:
+    """Fill a row of ``out``, (S, V, 3), with ``centre + axes slot`` for every slot."""
+    cx, cy, cz = centre
+    a, b, c = axes[0, 0], axes[0, 1], axes[0, 2]
+    d, e, f = axes[1, 0], axes[1, 1], axes[1, 2]
+    g, h, i = axes[2, 0], axes[2, 1], axes[2, 2]
+    for v in range(len(slots)):
+        x, y, z = slots[v, 0], slots[v, 1], slots[v, 2]
+        out[row, v, 0] = cx + a * x + b * y + c * z
+        out[row, v, 1] = cy + d * x + e * y + f * z
+        out[row, v, 2] = cz + g * x + h * y + i * z
 
 
 @njit(cache=True)
-def _attitude(base: Array, f: Array, rotation: Array, rate: Array, growth: Array) -> None:
-    """Fill the attitude ``base exp(f)``, its turning rate and the rate's growth, both in ENU.
+def _polynomial(powers: Array, span: int, t: float) -> tuple[Vector, Vector, Vector]:
+    """Three cubic polynomials, coefficients (4, K - 1, 3), and their two derivatives."""
+    a = (powers[0, span, 0], powers[0, span, 1], powers[0, span, 2])
+    b = (powers[1, span, 0], powers[1, span, 1], powers[1, span, 2])
+    c = (powers[2, span, 0], powers[2, span, 1], powers[2, span, 2])
+    d = (powers[3, span, 0], powers[3, span, 1], powers[3, span, 2])
+    value = mix(1.0, d, t, mix(1.0, c, t, mix(1.0, b, t, a)))
+    return value, mix(1.0, c, t, mix(2.0, b, 3.0 * t, a)), mix(2.0, b, 6.0 * t, a)
+
+
+@njit(cache=True)
+def _attitude(
+    bases: Array, span: int, f: Vector, slope: Vector, bend: Vector, rotation: Array
+) -> tuple[Vector, Vector]:
+    """Fill the attitude ``base exp(f)``; return its turning rate and the rate's growth, both in ENU.
 
     Args:
-        base: attitude at the start of the span, shape (3, 3).
-        f: rotation vector and its two derivatives, shape (3, 3).
+        bases: attitudes at the starts of the spans, shape (K, 3, 3).
+        span: which one counts.
+        f: rotation vector.
+        slope: its derivative.
+        bend: its second derivative.
         rotation: filled, shape (3, 3).
-        rate: filled, shape (3,).
-        growth: filled, shape (3,).
 
-    In the turned axes the rate is ``f' - b f x f' + d f x (f x f')`` with ``b = (1 - cos)/z``, ``d = (angle -
-    sin)/angle^3`` and ``z`` the squared angle (the right Jacobian of rotations); its growth is the derivative of
-    that.
+    In the turned axes the rate is ``f' - b f x f' + d f x (f x f')``, see :func:`fg_gcs.plan.splines.turning`; its
+    growth is the derivative of that.
     """
-    x, y, z = f[0]
-    angle2 = x * x + y * y + z * z
-    if angle2 < SMALL_ANGLE2:
-        s = 1.0 - angle2 / 6.0 * (1.0 - angle2 / 20.0)
-        b = 0.5 - angle2 / 24.0 * (1.0 - angle2 / 30.0)
-        d = 1.0 / 6.0 - angle2 / 120.0 * (1.0 - angle2 / 42.0)
-        b1 = -1.0 / 24.0 + angle2 / 360.0
-        d1 = -1.0 / 120.0 + angle2 / 2520.0
-    else:
-        angle = math.sqrt(angle2)
-        sine, cosine = math.sin(angle), math.cos(angle)
-        s = sine / angle
-        b = (1.0 - cosine) / angle2
-        d = (angle - sine) / (angle * angle2)
-        b1 = (angle * sine - 2.0 * (1.0 - cosine)) / (2.0 * angle2 * angle2)
-        d1 = (3.0 * sine - 2.0 * angle - angle * cosine) / (2.0 * angle2 * angle2 * angle)
-    turn = np.empty((3, 3))
-    turn[0, 0], turn[0, 1], turn[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - s * z, b * x * z + s * y
-    turn[1, 0], turn[1, 1], turn[1, 2] = b * x * y + s * z, 1.0 - b * (x * x + z * z), b * y * z - s * x
-    turn[2, 0], turn[2, 1], turn[2, 2] = b * x * z - s * y, b * y * z + s * x, 1.0 - b * (x * x + y * y)
-    slope = 2.0 * (f[0, 0] * f[1, 0] + f[0, 1] * f[1, 1] + f[0, 2] * f[1, 2])  # of the squared angle
-    once, twice = np.empty(3), np.empty(3)  # f x f', f x (f x f')
-    grown, grown_twice, bent = np.empty(3), np.empty(3), np.empty(3)  # f x f'', f x (f x f''), f' x (f x f')
-    _cross(f[0], f[1], once)
-    _cross(f[0], once, twice)
-    _cross(f[0], f[2], grown)
-    _cross(f[0], grown, grown_twice)
-    _cross(f[1], once, bent)
-    own_rate, own_growth = np.empty(3), np.empty(3)
-    for k in range(3):
-        own_rate[k] = f[1, k] - b * once[k] + d * twice[k]
-        own_growth[k] = (
-            f[2, k] - b1 * slope * once[k] - b * grown[k] + d1 * slope * twice[k] + d * (bent[k] + grown_twice[k])
-        )
+    x, y, z = f
+    s, b, d, b1, d1 = turning(x * x + y * y + z * z)
+    turn = (
+        (1.0 - b * (y * y + z * z), b * x * y - s * z, b * x * z + s * y),
+        (b * x * y + s * z, 1.0 - b * (x * x + z * z), b * y * z - s * x),
+        (b * x * z - s * y, b * y * z + s * x, 1.0 - b * (x * x + y * y)),
+    )
     for i in range(3):
+        p, q, r = bases[span, i, 0], bases[span, i, 1], bases[span, i, 2]
         for j in range(3):
-            rotation[i, j] = base[i, 0] * turn[0, j] + base[i, 1] * turn[1, j] + base[i, 2] * turn[2, j]
-    for i in range(3):
-        rate[i] = rotation[i, 0] * own_rate[0] + rotation[i, 1] * own_rate[1] + rotation[i, 2] * own_rate[2]
-        growth[i] = rotation[i, 0] * own_growth[0] + rotation[i, 1] * own_growth[1] + rotation[i, 2] * own_growth[2]
+            rotation[i, j] = p * turn[0][j] + q * turn[1][j] + r * turn[2][j]
+    grown = 2.0 * (x * slope[0] + y * slope[1] + z * slope[2])  # derivative of the squared angle
+    once, more = cross(f, slope), cross(f, bend)  # f x f', f x f''
+    twice, more_twice, bent = cross(f, once), cross(f, more), cross(slope, once)
+    rate = mix(1.0, slope, 1.0, mix(-b, once, d, twice))
+    growth = mix(-b, more, d, mix(1.0, bent, 1.0, more_twice))
+    growth = mix(1.0, mix(1.0, bend, 1.0, growth), grown, mix(-b1, once, d1, twice))
+    return _turned(rotation, rate), _turned(rotation, growth)
 
 
 @njit(cache=True)
-def _cross(a: Array, b: Array, out: Array) -> None:
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
+def _turned(r: Array, a: Vector) -> Vector:
+    return (
+        r[0, 0] * a[0] + r[0, 1] * a[1] + r[0, 2] * a[2],
+        r[1, 0] * a[0] + r[1, 1] * a[1] + r[1, 2] * a[2],
+        r[2, 0] * a[0] + r[2, 1] * a[1] + r[2, 2] * a[2],
+    )
 
 
-def _chords(centres: Array, rotations: Array, scales: Array, radius_m: float) -> Array:
+@njit(cache=True)
+def _ways(centres: Array, rotations: Array, scales: Array, radius: float) -> Array:
     """Cumulative way from pose to pose at the outermost slot: of centre, turn and scale, shape (K,) [m]."""
-    moves = np.diff(centres, axis=0)
-    turns = np.diff(rotations, axis=0)
-    angles = 2.0 * np.arcsin(np.minimum(np.sqrt((turns**2).sum(axis=(1, 2)) / 8.0), 1.0))  # |R - 1| = sqrt(8) sin(a/2)
-    turned_m = radius_m * np.maximum(scales[:-1], scales[1:]) * angles
-    ways_m = np.sqrt((moves**2).sum(axis=1) + turned_m**2 + (radius_m * np.diff(scales)) ** 2)
-    return np.concatenate(([0.0], np.cumsum(ways_m)))
+    ways = np.zeros(len(centres))
+    for i in range(1, len(centres)):
+        moved2, turned2 = 0.0, 0.0
+        for j in range(3):
+            moved2 += (centres[i, j] - centres[i - 1, j]) ** 2
+            for k in range(3):
+                turned2 += (rotations[i, j, k] - rotations[i - 1, j, k]) ** 2
+        angle = 2.0 * math.asin(min(math.sqrt(turned2 / 8.0), 1.0))  # |R - 1| = sqrt(8) sin(a/2)
+        turned = radius * max(scales[i - 1], scales[i]) * angle
+        grown = radius * (scales[i] - scales[i - 1])
+        ways[i] = ways[i - 1] + math.sqrt(moved2 + turned * turned + grown * grown)
+    return ways
+
+
+@njit(cache=True)
+def _closest_pair(slots: Array) -> tuple[float, tuple[int, int]]:
+    """Distance and indices of the closest two of V >= 2 slots, by a sweep along the template's y axis."""
+    order = np.argsort(slots[:, 1])
+    best2, pair = np.inf, (0, 1)
+    for i in range(len(order)):
+        for j in range(i + 1, len(order)):
+            one, other = order[i], order[j]
+            ahead = slots[other, 1] - slots[one, 1]
+            if ahead * ahead >= best2:
+                break
+            across, along = slots[other, 0] - slots[one, 0], slots[other, 2] - slots[one, 2]
+            distance2 = ahead * ahead + across * across + along * along
+            if distance2 < best2:
+                best2, pair = distance2, (min(one, other), max(one, other))
+    return math.sqrt(best2), pair

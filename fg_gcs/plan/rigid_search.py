@@ -12,7 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fg_gcs.core.kernels import edge_derivatives, polygon_flux
+from fg_gcs.core.kernels import polygon_flux
+from fg_gcs.plan.splines import cross
+from fg_gcs.plan.trust_region import maximise_in_ball
 
 Array = NDArray[np.float64]
 
@@ -29,54 +31,63 @@ NEAR_RIM = 1e-3  # closer to the rim than this share of its size the flux has no
 SCALE_SHARE = 0.3  # of a step may go into a change of scale, measured at the leaders
 
 STALLED = 1e-6  # a trust region this small gains nothing any more
+SAME = 1e-9  # metres and shares below which two poses are one
 
-FOUND, ON_RIM, TOO_MANY = range(3)
+FOUND, ON_RIM, TOO_MANY, NO_NUMBERS = range(4)
 
 
 @njit(cache=True)
 def search(
-    rim: Array, target: Array, centre: Array, rotation: Array, scale: float, last_scale: float, poses: Array
+    rim: Array, sources: Array, weights: Array, depth: float, start: Array, last_scale: float, poses: Array
 ) -> tuple[int, int, int]:
-    """Fill ``poses`` with the path up to where the target is surrounded.
+    """Fill ``poses`` with the path up to where the target is surrounded, and the slide to its hold.
 
     Args:
         rim: leaders of the template, shape (N, 3) [m].
-        target: shape (3,) [m].
-        centre: of the face at the start, shape (3,) [m].
-        rotation: template axes to ENU at the start, shape (3, 3).
-        scale: of the template at the start.
-        last_scale: to reach on the way, at a bounded rate.
-        poses: room for the path, shape (K, 13): centre, rotation by rows, scale.
+        sources: positions, shape (C, 3) [m].
+        weights: of the sources, shape (C,), their sum is 1.
+        depth: of the centre of charge behind the face in the hold [m].
+        start: pose as :func:`keep` writes it, shape (13,).
+        last_scale: of the template, to reach on the way at a bounded rate.
+        poses: room for the path, shape (K, 13).
 
     Returns:
-        How it ended (FOUND, ON_RIM or TOO_MANY), the number of poses and the number of steps tried.
+        How it ended (FOUND, ON_RIM, TOO_MANY or NO_NUMBERS), the number of poses and the number of steps tried.
     """
+    if not (_all_finite(start) and _all_finite(sources.ravel()) and start[12] > 0.0 and 0.0 < last_scale < math.inf):
+        return NO_NUMBERS, 0, 0
     gyration = math.sqrt((rim * rim).sum() / rim.shape[0])
+    target = centre_of(sources, weights)
     vertices = np.empty_like(rim)
     gradient, hessian = np.empty(6), np.empty((6, 6))
-    centre, rotation = centre.copy(), rotation.copy()
+    centre, rotation, scale = start[:3].copy(), start[3:12].copy().reshape(3, 3), start[12]
     moved_centre = np.empty(3)
     region = 1.0  # trust radius as a share of the largest step
     against = False
+    flux, known = 0.0, False
     bound = step_bound(centre, rotation, target, math.inf)
-    count = 0
-    keep(poses, count, centre, rotation, scale)
-    count += 1
-    for tried in range(poses.shape[0] - 1):
+    count = 1
+    poses[0] = start
+    for tried in range(poses.shape[0] - 2):
         place(rim, centre, rotation, scale, vertices)
-        flux = polygon_flux(vertices, target)
-        unwrapped = flux + 4.0 * math.pi if flux < -math.pi else flux
-        if unwrapped > SURROUNDED * 2.0 * math.pi or among(centre, rotation, target, gyration * scale):
-            return FOUND, count, tried
-        if region < STALLED:  # a face that looks away can sit on a maximum: turn against the flux until it looks round
-            against = True
+        if not known:
+            flux = charged_flux(vertices, sources, weights)
+        if surrounded(vertices, target, len(sources), flux) or among(centre, rotation, target, gyration * scale):
+            return FOUND, slid(poses, count, target, depth, last_scale), tried
+        if region < STALLED:
+            if flux > 0.0 and len(sources) > 1:  # the most flux of several sources is had in front of them
+                return FOUND, slid(poses, count, target, depth, last_scale), tried
+            against = True  # a face that looks away can sit on a maximum: turn against the flux until it looks round
         if against and flux <= 0.0:
             rotation = _turned_round(rotation, target - centre)
             keep(poses, count, centre, rotation, scale)
             count += 1
-            region = 1.0
+            region, known = 1.0, False
             continue
-        if not pose_derivatives(vertices, centre, target, NEAR_RIM * gyration * scale, gradient, hessian):
+        nearest = NEAR_RIM * gyration * scale
+        if not pose_derivatives(vertices, centre, sources, weights, nearest, gradient, hessian):
+            if flux > 0.0 and len(sources) > 1:  # as far as this one lets the face come
+                return FOUND, slid(poses, count, target, depth, last_scale), tried
             return ON_RIM, count, tried
         size = region * bound
         turn = min(size / (gyration * scale), TURN_RAD)
@@ -86,8 +97,11 @@ def search(
             moved_centre[k] = centre[k] + step[k]
         moved_rotation = turned(rotation, step[3], step[4], step[5])
         place(rim, moved_centre, moved_rotation, scale, vertices)
-        if polygon_flux(vertices, target) - flux > ACCEPT * predicted:
+        moved_flux = charged_flux(vertices, sources, weights)
+        known = True
+        if moved_flux - flux > ACCEPT * predicted:
             centre[:], rotation[:] = moved_centre, moved_rotation
+            flux, known = moved_flux, next_scale == scale
             scale = next_scale
             keep(poses, count, centre, rotation, scale)
             count += 1
@@ -95,68 +109,62 @@ def search(
             bound = step_bound(centre, rotation, target, bound)
         else:
             region *= 0.25
-    return TOO_MANY, count, poses.shape[0] - 1
+    return TOO_MANY, count, poses.shape[0] - 2
 
 
 @njit(cache=True)
-def maximise_in_ball(gradient: Array, hessian: Array) -> Array:
-    """Return the x with ``|x| <= 1`` that maximises ``g . x + x . H x / 2`` [More1983]_.
+def slid(poses: Array, count: int, target: Array, depth: float, last_scale: float) -> int:
+    """Write the hold behind ``count`` poses, a straight slide away from the last one, if it differs; return the count.
 
-    In the eigenvectors of H the solution is ``x = (m I - H)^-1 g`` with the smallest multiplier ``m >= 0`` that makes
-    ``m I - H`` positive semi-definite and the length one, found by Newton's iteration on the reciprocal length, which
-    is nearly linear in ``m``. In the hard case (no gradient along the leading eigenvector) the rest of the length
-    goes along that eigenvector, its first component that is not zero made positive.
+    ``poses`` must have room for it.
     """
-    count = len(gradient)
-    values, vectors = np.linalg.eigh(hessian)
-    along = np.zeros(count)  # loops instead of matrix products: calling a library costs more than six by six numbers
-    size = 0.0
-    for k in range(count):
-        for i in range(count):
-            along[k] += vectors[i, k] * gradient[i]
-        size += gradient[k] * gradient[k]
-    top = values[count - 1]
-    size = math.sqrt(size) + max(abs(values[0]), abs(top))
-    if size == 0.0:
-        return np.zeros(count)
-    floor = max(top, 0.0) + 1e-9 * size  # just above the pole; what it costs in length the hard case restores
-    lowest = 0.0 if top < -1e-12 * size else floor
-    length2 = 0.0
-    for k in range(count):
-        length2 += (along[k] / (lowest - values[k])) ** 2
-    if length2 <= 1.0:
-        inside = _combined(vectors, along, values, lowest)
-        if lowest == 0.0:
-            return inside
-        sign = 1.0
-        for k in range(count):
-            if abs(vectors[k, count - 1]) > 1e-9:
-                sign = 1.0 if vectors[k, count - 1] > 0.0 else -1.0
-                break
-        return inside + math.sqrt(1.0 - length2) * sign * vectors[:, count - 1]
-    multiplier = lowest
-    for _ in range(100):  # each round raises the multiplier towards the root, from below, for ever more digits
-        length2, slope = 0.0, 0.0
-        for k in range(count):
-            part = along[k] / (multiplier - values[k])
-            length2 += part * part
-            slope += part * part / (multiplier - values[k])
-        length = math.sqrt(length2)
-        if length < 1.0 + 1e-10:
-            break
-        multiplier += (length - 1.0) * length2 / slope
-    return _combined(vectors, along, values, multiplier)
+    last, hold = poses[count - 1], poses[count]
+    hold[3:12] = last[3:12]
+    hold[12] = last_scale
+    most = abs(last_scale - last[12])
+    for k in range(3):
+        hold[k] = target[k] + depth * last[3 + 3 * k]
+        most = max(most, abs(hold[k] - last[k]))
+    return count + 1 if most > SAME else count
 
 
 @njit(cache=True)
-def _combined(vectors: Array, along: Array, values: Array, multiplier: float) -> Array:
-    """``(m I - H)^-1 g`` in the eigenvectors of H."""
-    result = np.zeros(len(values))
-    for k in range(len(values)):
-        part = along[k] / (multiplier - values[k])
-        for i in range(len(values)):
-            result[i] += vectors[i, k] * part
-    return result
+def centre_of(sources: Array, weights: Array) -> Array:
+    """Return the centre of charge, shape (3,)."""
+    centre = np.zeros(3)
+    for c in range(len(sources)):
+        for k in range(3):
+            centre[k] += weights[c] * sources[c, k]
+    return centre
+
+
+@njit(cache=True)
+def charged_flux(vertices: Array, sources: Array, weights: Array) -> float:
+    """Return the weighted sum of the sources' fluxes through a polygon [sr]."""
+    total = 0.0
+    for c in range(len(sources)):
+        total += weights[c] * polygon_flux(vertices, sources[c])
+    return total
+
+
+@njit(cache=True)
+def surrounded(vertices: Array, target: Array, sources: int, flux: float) -> bool:
+    """Say whether the last slide may start: a source in the centre of charge would send nearly all that it can.
+
+    ``flux`` is that of the sources; of a single one it is the one wanted. A source that has just passed the face has
+    the flux of the other half sphere, with the other sign.
+    """
+    own = flux if sources == 1 else polygon_flux(vertices, target)
+    unwrapped = own + 4.0 * math.pi if own < -math.pi else own
+    return unwrapped > SURROUNDED * 2.0 * math.pi
+
+
+@njit(cache=True)
+def _all_finite(values: Array) -> bool:
+    for value in values:  # noqa: SIM110 (the compiler takes a plain loop sooner than a generator)
+        if not math.isfinite(value):
+            return False
+    return True
 
 
 @njit(cache=True)
@@ -185,61 +193,114 @@ def _best_step(gradient: Array, hessian: Array, size: float, turn: float, may_mo
 
 @njit(cache=True)
 def pose_derivatives(
-    vertices: Array, centre: Array, target: Array, nearest: float, gradient: Array, hessian: Array
+    vertices: Array,
+    centre: Array,
+    sources: Array,
+    weights: Array,
+    nearest: float,
+    gradient: Array,
+    hessian: Array,
 ) -> bool:
-    """Fill the flux's derivatives by small moves and turns about the centre; False when the target is on the rim.
+    """Fill the flux's derivatives by small moves and turns about the centre; False when a source is on the rim.
 
-    With the arm ``r`` of a vertex and the cross-product matrix ``[r]``, a turn ``w`` moves it by ``-[r] w``, so a
-    block H of the vertices' Hessian adds ``H``, ``-H [r]``, ``[r] H`` and ``-[r] H [r]``. A turn also bends: the
-    second-order part ``w x (w x r) / 2`` meets the gradient.
+    The flux of a rigid face depends only on where the source stands as seen from it. A move ``d`` and a turn ``w`` of
+    the face take a source from ``y``, seen from the centre, to ``exp(-[w]) (y - d)``. With the flux's gradient ``g``
+    and Hessian ``H`` by ``y`` and the cross-product matrix ``[.]``, the gradient is ``(-g, g x y)``, and the Hessian's
+    blocks are ``H``, ``[g] - H [y]`` and ``-[y] H [y] + (g y^T + y g^T) / 2 - g.y``.
     """
-    count = vertices.shape[0]
     gradient[:] = 0.0
     hessian[:] = 0.0
-    edge = np.empty((14, 3))
-    turned, both = np.empty((3, 3)), np.empty((3, 3))
-    arms = np.empty((2, 3))
-    for i in range(count):
-        j = i + 1 if i + 1 < count else 0
-        ax, ay, az = vertices[i, 0] - target[0], vertices[i, 1] - target[1], vertices[i, 2] - target[2]
-        bx, by, bz = vertices[j, 0] - target[0], vertices[j, 1] - target[1], vertices[j, 2] - target[2]
-        if _edge_distance(ax, ay, az, bx, by, bz) < nearest:
+    slope, bend = np.empty(3), np.empty((3, 3))
+    for c in range(len(sources)):
+        if not _source_derivatives(vertices, sources[c], nearest, slope, bend):
             return False
-        edge_derivatives(ax, ay, az, bx, by, bz, edge)
-        for k in range(3):
-            arms[0, k] = vertices[i, k] - centre[k]
-            arms[1, k] = vertices[j, k] - centre[k]
-        for row in range(2):
-            rx, ry, rz = arms[row]
-            gx, gy, gz = edge[row]
-            gradient[0] += gx
-            gradient[1] += gy
-            gradient[2] += gz
-            gradient[3] += ry * gz - rz * gy
-            gradient[4] += rz * gx - rx * gz
-            gradient[5] += rx * gy - ry * gx
-            straight = rx * gx + ry * gy + rz * gz
+        weight = weights[c]
+        y = (sources[c, 0] - centre[0], sources[c, 1] - centre[1], sources[c, 2] - centre[2])
+        g = (weight * slope[0], weight * slope[1], weight * slope[2])
+        inner = g[0] * y[0] + g[1] * y[1] + g[2] * y[2]
+        turn = cross(g, y)
+        for p in range(3):
+            gradient[p] -= g[p]
+            gradient[3 + p] += turn[p]
+            row = (weight * bend[p, 0], weight * bend[p, 1], weight * bend[p, 2])
+            mixed = cross(y, row)  # a row of -H [y] is y x that row of H
+            for q in range(3):
+                hessian[p, q] += row[q]
+                hessian[p, 3 + q] += mixed[q]
+                hessian[3 + p, 3 + q] += 0.5 * (g[p] * y[q] + y[p] * g[q])
+            hessian[3 + p, 3 + p] -= inner
+        for q in range(3):  # columns of -[y] (H [y]) are y x those of -H [y]
+            column = cross(
+                y,
+                (
+                    weight * (y[(q + 1) % 3] * bend[0, (q + 2) % 3] - y[(q + 2) % 3] * bend[0, (q + 1) % 3]),
+                    weight * (y[(q + 1) % 3] * bend[1, (q + 2) % 3] - y[(q + 2) % 3] * bend[1, (q + 1) % 3]),
+                    weight * (y[(q + 1) % 3] * bend[2, (q + 2) % 3] - y[(q + 2) % 3] * bend[2, (q + 1) % 3]),
+                ),
+            )
             for p in range(3):
-                for q in range(3):
-                    hessian[3 + p, 3 + q] += 0.5 * (arms[row, p] * edge[row, q] + edge[row, p] * arms[row, q])
-                hessian[3 + p, 3 + p] -= straight
-            for column in range(2):
-                block = edge[2 + 6 * row + 3 * column : 5 + 6 * row + 3 * column]
-                _times_minus_cross(block, arms[column], turned)
-                _cross_times(arms[row], turned, both)
-                for p in range(3):
-                    for q in range(3):
-                        hessian[p, q] += block[p, q]
-                        hessian[p, 3 + q] += turned[p, q]
-                        hessian[3 + p, 3 + q] += both[p, q]
+                hessian[3 + p, 3 + q] += column[p]
+        hessian[0, 4] -= g[2]
+        hessian[0, 5] += g[1]
+        hessian[1, 3] += g[2]
+        hessian[1, 5] -= g[0]
+        hessian[2, 3] -= g[1]
+        hessian[2, 4] += g[0]
     for p in range(6):
         for q in range(p):
-            if p >= 3 > q:
-                hessian[p, q] = hessian[q, p]
-            else:
-                mean = 0.5 * (hessian[p, q] + hessian[q, p])
-                hessian[p, q] = mean
-                hessian[q, p] = mean
+            hessian[p, q] = hessian[q, p]
+    return True
+
+
+@njit(cache=True)
+def _source_derivatives(vertices: Array, source: Array, nearest: float, slope: Array, bend: Array) -> bool:
+    """Fill gradient (3,) and Hessian (3, 3) of the flux by the source's place; False when it is on the rim.
+
+    An edge from ``a`` to ``b``, as the source sees them, adds ``-n f`` to the gradient with ``n = a x b``, ``f = S / (P
+    D)``, ``S = |a| + |b|``, ``P = |a| |b|`` and ``D = P + a.b`` (the field of a straight current, by Biot and Savart).
+    With the unit vectors' sum ``q``: ``D' = S q``, so that the derivative of ``f`` by both ends together is ``q / (P D)
+    - f (P'/P + S q / D)``, and that of ``n`` along a move ``d`` is ``(a - b) x d``.
+    """
+    slope[:] = 0.0
+    bend[:] = 0.0
+    last = len(vertices) - 1
+    ax, ay, az = vertices[last, 0] - source[0], vertices[last, 1] - source[1], vertices[last, 2] - source[2]
+    la = math.sqrt(ax * ax + ay * ay + az * az)
+    for i in range(last + 1):
+        bx, by, bz = vertices[i, 0] - source[0], vertices[i, 1] - source[1], vertices[i, 2] - source[2]
+        lb = math.sqrt(bx * bx + by * by + bz * bz)
+        ex, ey, ez = bx - ax, by - ay, bz - az
+        total, product, dot = la + lb, la * lb, ax * bx + ay * by + az * bz
+        edge2 = ex * ex + ey * ey + ez * ez
+        # Nobody outside this ellipse around the edge is near it
+        if (total - 2.0 * nearest) ** 2 <= edge2 and _edge_distance(ax, ay, az, bx, by, bz) < nearest:
+            return False
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        # Near the edge the plain sum cancels; the other branch is the same by its conjugate
+        d = product + dot if dot >= 0.0 else (nx * nx + ny * ny + nz * nz) / (product - dot)
+        whole = 1.0 / (product * d)
+        f = total * whole
+        by_a = whole - f * (1.0 / la + total / d)  # shares of the two unit vectors in the derivative of f, times P
+        by_b = whole - f * (1.0 / lb + total / d)
+        ua, ub = by_a / la, by_b / lb
+        fx, fy, fz = ua * ax + ub * bx, ua * ay + ub * by, ua * az + ub * bz
+        slope[0] -= nx * f
+        slope[1] -= ny * f
+        slope[2] -= nz * f
+        bend[0, 0] += nx * fx
+        bend[0, 1] += nx * fy + f * ez
+        bend[0, 2] += nx * fz - f * ey
+        bend[1, 0] += ny * fx - f * ez
+        bend[1, 1] += ny * fy
+        bend[1, 2] += ny * fz + f * ex
+        bend[2, 0] += nz * fx + f * ey
+        bend[2, 1] += nz * fy - f * ex
+        bend[2, 2] += nz * fz
+        ax, ay, az, la = bx, by, bz, lb
+    for p in range(3):
+        for q in range(p):
+            mean = 0.5 * (bend[p, q] + bend[q, p])  # around the whole rim it is symmetric, but for rounding
+            bend[p, q], bend[q, p] = mean, mean
     return True
 
 
@@ -274,26 +335,6 @@ def _edge_distance(ax: float, ay: float, az: float, bx: float, by: float, bz: fl
     share = min(max(share, 0.0), 1.0)
     x, y, z = ax + share * dx, ay + share * dy, az + share * dz
     return math.sqrt(x * x + y * y + z * z)
-
-
-@njit(cache=True)
-def _times_minus_cross(matrix: Array, arm: Array, out: Array) -> None:
-    """``out = -matrix @ [arm]``."""
-    x, y, z = arm
-    for p in range(3):
-        out[p, 0] = -(matrix[p, 1] * z - matrix[p, 2] * y)
-        out[p, 1] = -(matrix[p, 2] * x - matrix[p, 0] * z)
-        out[p, 2] = -(matrix[p, 0] * y - matrix[p, 1] * x)
-
-
-@njit(cache=True)
-def _cross_times(arm: Array, matrix: Array, out: Array) -> None:
-    """``out = [arm] @ matrix``."""
-    x, y, z = arm
-    for q in range(3):
-        out[0, q] = y * matrix[2, q] - z * matrix[1, q]
-        out[1, q] = z * matrix[0, q] - x * matrix[2, q]
-        out[2, q] = x * matrix[1, q] - y * matrix[0, q]
 
 
 @njit(cache=True)

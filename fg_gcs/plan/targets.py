@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
 from fg_gcs.core import solid_angle
+from fg_gcs.core.formation import Formation
 from fg_gcs.errors import PlanError
 
 Array = NDArray[np.float64]
@@ -20,25 +21,6 @@ Array = NDArray[np.float64]
 CLEARANCE_M = 10.0  # added to the targets' diameter: 5 m from the outermost one to the leaders' circle
 ASYMMETRY = 1e-9  # of the largest entry: more than rounding, and a matrix is no covariance
 NEGATIVE = 1e-12  # of the largest eigenvalue: rounding may make a zero one this negative, no more
-
-
-@dataclass(frozen=True)
-class PointTarget:
-    """A ball to surround: one source at its centre."""
-
-    position_enu_m: tuple[float, float, float]  # [m; ENU]
-    radius_m: float = 0.0  # [m], >= 0
-
-    def __post_init__(self) -> None:
-        """Refuse what is no ball.
-
-        Raises:
-            PlanError: the position is not three finite numbers, or the radius is negative or not finite.
-        """
-        position = _finite(self.position_enu_m, (3,), "a target's position")
-        if not 0.0 <= self.radius_m < np.inf:
-            raise PlanError(f"a target's radius must be a finite number of metres, 0 or more, got {self.radius_m}")
-        object.__setattr__(self, "position_enu_m", tuple(position.tolist()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +44,12 @@ class Charges:
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
+    @property
+    def centre_enu_m(self) -> Array:
+        """The centre of charge: the weighted mean of the positions, shape (3,) [m; ENU]."""
+        centre: Array = np.average(self.positions_enu_m, axis=0, weights=self.weights)
+        return centre
+
     def flux(self, vertices_enu_m: Array) -> float:
         """Return the weighted mean of the charges' fluxes through a polygon, shape (N, 3) [m] to [sr].
 
@@ -80,27 +68,96 @@ class Charges:
         return total
 
 
-def centre_of_charge(positions_enu_m: ArrayLike) -> PointTarget:
-    """Return the one target that stands for several equal ones: their mean with an effective radius.
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What a formation surrounds: one source or more, and the ball around their centre that its face has to cover."""
+
+    sources: Charges
+    radius_m: float = 0.0  # of the ball; 0: a point, for which a formation keeps its size [m]
+
+    def __post_init__(self) -> None:
+        """Refuse what is no ball.
+
+        Raises:
+            PlanError: the radius is negative or not finite.
+        """
+        if not 0.0 <= self.radius_m < np.inf:
+            raise PlanError(f"a target's radius must be a finite number of metres, 0 or more, got {self.radius_m}")
+
+    @classmethod
+    def ball(cls, position_enu_m: ArrayLike, radius_m: float = 0.0) -> Target:
+        """Return a ball with one source at its centre, shape (3,) [m; ENU].
+
+        Raises:
+            PlanError: the position is not three finite numbers, or the radius is negative or not finite.
+        """
+        position = _finite(position_enu_m, (3,), "a target's position")
+        return cls(Charges(position[None], np.ones(1)), radius_m)
+
+    @property
+    def centre_enu_m(self) -> Array:
+        """The centre of the ball: the sources' centre of charge, shape (3,) [m; ENU]."""
+        return self.sources.centre_enu_m
+
+    @property
+    def source(self) -> Array | Charges:
+        """What the planner is guided by: the point, shape (3,) [m; ENU], or the charges if there are several."""
+        positions = self.sources.positions_enu_m
+        return positions[0] if len(positions) == 1 else self.sources
+
+    def wider(self, by_m: float) -> Target:
+        """Return the same sources in a larger ball: radii add up.
+
+        A ball of radius a whose centre is known to within b lies in a ball of radius a + b, and in no smaller one.
+        """
+        return Target(self.sources, self.radius_m + by_m)
+
+    def last_scale(self, formation: Formation, first_scale: float = 1.0) -> float:
+        """Return the scale at which the circle inscribed in the face has the target's radius.
+
+        A point leaves the formation at its first scale.
+
+        Raises:
+            PlanError: the centre of the face lies outside of it, so that no circle fits.
+        """
+        if self.radius_m == 0.0:
+            return first_scale
+        inscribed_m = formation.inscribed_radius_m
+        if not inscribed_m > 0.0:
+            raise PlanError(
+                "no circle fits into a face whose centre lies outside of it; a target with a radius needs one"
+            )
+        return self.radius_m / inscribed_m
+
+
+def centre_of_charge(positions_enu_m: ArrayLike, weights: ArrayLike | None = None) -> Target:
+    """Return the one target that stands for several: their centre of charge with an effective radius.
 
     The face is a square of edge ``l = (2 d_max + 10 m) / sqrt(2)``, ``d_max`` being the largest distance from the
-    mean: its diagonal is the diameter of all targets and 10 m more. The radius is the one of the circle inscribed in
-    that square, so that :func:`square_edge_m` gives ``l`` back. The targets themselves lie inside the square's
+    centre: its diagonal is the diameter of all targets and 10 m more. The radius is the one of the circle inscribed in
+    that square, so that :func:`edge_for_radius_m` gives ``l`` back. The targets themselves lie inside the square's
     circumscribed circle.
 
     Args:
         positions_enu_m: where the targets are, shape (C, 3), C >= 1 [m; ENU].
+        weights: how much each counts, above 0, shape (C,); without them all count the same.
 
     Raises:
-        PlanError: no position, or one that is not three finite numbers.
+        PlanError: no position, one that is not three finite numbers, or a weight that is not above 0.
     """
     positions = _points(positions_enu_m)
-    mean = positions.mean(axis=0)
-    furthest_m = float(np.linalg.norm(positions - mean, axis=1).max())
-    return PointTarget(tuple(mean.tolist()), 0.5 * (2.0 * furthest_m + CLEARANCE_M) / np.sqrt(2.0))
+    charges = Charges(positions, np.ones(len(positions)) if weights is None else np.asarray(weights, dtype=float))
+    return Target.ball(charges.centre_enu_m, effective_radius_m(charges))
 
 
-def uncertain(mean_enu_m: ArrayLike, covariance_m2: ArrayLike, confidence: float) -> PointTarget:
+def effective_radius_m(charges: Charges) -> float:
+    """Return the radius of the circle that a face around several targets has to hold, see :func:`centre_of_charge`."""
+    with np.errstate(over="ignore"):  # absurd distances become infinite, and no target has an infinite radius
+        furthest_m = np.linalg.norm(charges.positions_enu_m - charges.centre_enu_m, axis=1).max()
+    return float(0.5 * (2.0 * furthest_m + CLEARANCE_M) / np.sqrt(2.0))
+
+
+def uncertain(mean_enu_m: ArrayLike, covariance_m2: ArrayLike, confidence: float) -> Target:
     """Return the ball that holds a normally distributed target with at least the stated confidence.
 
     The ellipsoid ``(x - mean)^T C^-1 (x - mean) <= q`` holds it with exactly the confidence when ``q`` is the
@@ -124,8 +181,7 @@ def uncertain(mean_enu_m: ArrayLike, covariance_m2: ArrayLike, confidence: float
     if values[0] < -NEGATIVE * np.abs(values).max():
         raise PlanError(f"the covariance must be positive semi-definite, but has the eigenvalue {values[0]:.3g} m^2")
     quantile = float(chi2.ppf(confidence, df=3))
-    mean = _finite(mean_enu_m, (3,), "a target's expected position")
-    return PointTarget(tuple(mean.tolist()), float(np.sqrt(quantile * max(values[-1], 0.0))))
+    return Target.ball(mean_enu_m, float(np.sqrt(quantile * max(values[-1], 0.0))))
 
 
 def edge_for_radius_m(radius_m: float, leaders: int = 4) -> float:

@@ -1,10 +1,10 @@
-"""Trajectories, and plans that carry the proof that limits, fence and separation hold."""
+"""Trajectories: a path with its profile in time, and what a dense look at all of it finds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -12,10 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from fg_gcs.core.frames import yaw_from_enu
 from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.plan.limits import Limits
 from fg_gcs.plan.paths import SwarmPath
 from fg_gcs.plan.profile import Profile
 from fg_gcs.plan.timing import time_optimal
@@ -25,13 +24,12 @@ Array = NDArray[np.float64]
 BLEND_S = 0.05  # shortest window that accelerations are blended over: some setpoints, and 1 % of a short flight
 SURVEY_HZ = 200.0  # density of the proof, besides the instants where the jerk steps: in between all is smooth
 JERK_HZ = 1000.0  # where jerk is limited: it is taken from differences of accelerations
-SURVEY_PLACES = 20_000  # instants times vehicles looked at together: 2 MB of work space, whatever the swarm
-MOMENTS = 2001  # instants among which the moment of the closest approach is looked up
-ON_FENCE_M = 1e-6  # a micrometre: rounding of places that lie on the fence itself
-OUTSIDE_SAMPLES = 2001  # enough to name the vehicle, the time and the place
+SURVEY_PLACES = 4_000  # instants times vehicles looked at together: 0.3 MB of work space, which stays in the cache
 BETWEEN_SAMPLES = 2e-3  # how much a peak between two samples of the proof may exceed them both
-UNITS = (("speed", "m_s"), ("acceleration", "m_s2"), ("jerk", "m_s3"), ("climb", "m_s"), ("descent", "m_s"))
-YAW_BLEND_M = 1.0  # a vehicle this close to the vertical through its target has no bearing to it; blend over
+ROUNDING = 1e-6  # share by which a stretched trajectory may exceed a limit, no more
+STEP_S = 1e-4  # instants closer than this tell rounding, not jerk
+POWERS = {"speed_m_s": 1, "acceleration_m_s2": 2, "jerk_m_s3": 3, "climb_m_s": 1, "descent_m_s": 1}  # of stretched time
+MENDS = 8  # timings tried from or to a moving end; two or three do
 
 
 class Sample(NamedTuple):
@@ -52,6 +50,15 @@ class Peaks(NamedTuple):
     descent_m_s: float
 
 
+class Moment(NamedTuple):
+    """Where something is largest on a trajectory."""
+
+    value: float
+    vehicle: int  # index
+    time_s: float  # in the trajectory's own time
+    position_enu_m: Array  # (3,) of the vehicle [m]
+
+
 class Survey(NamedTuple):
     """What a dense look at a whole trajectory finds."""
 
@@ -59,172 +66,221 @@ class Survey(NamedTuple):
     low_enu_m: Array  # (3,) corners of the box that it stays in [m]
     high_enu_m: Array
 
+    def slower(self, factor: float) -> Survey:
+        """Return what the same look finds when all is flown ``factor`` times slower.
+
+        It meets the same places, where speeds are lower by the factor, accelerations by its square, jerks by its cube.
+        """
+        lower = {name: getattr(self.peaks, name) / factor**power for name, power in POWERS.items()}
+        return self._replace(peaks=Peaks(**lower))
+
 
 class Trajectory:
     """A path with its profile in time: the swarm's position, velocity and acceleration at any time."""
 
-    def __init__(self, path: SwarmPath, profile: Profile, survey_hz: float = SURVEY_HZ) -> None:
-        """Take both, and how densely to survey them; the path is not looked at before it is sampled."""
+    def __init__(
+        self, path: SwarmPath, profile: Profile, survey_hz: float = SURVEY_HZ, survey: Survey | None = None
+    ) -> None:
+        """Take both, how densely to survey them, and what that finds; None: looked for when it is asked for."""
         self._path = path
         self._profile = profile
         self._survey_hz = survey_hz
+        self._known = survey
         self.duration_s = profile.duration_s
 
     def sample(self, time_s: Array) -> Sample:
-        """Return the swarm at ``time_s``, shape (T,) [s]; before the start and after the end it rests there."""
-        s_m, rate, growth = self._profile.at(time_s)
+        """Return the swarm at ``time_s``, shape (T,) [s].
+
+        Before the start and after the end every vehicle moves straight on at the velocity that it has there, without
+        acceleration; where the trajectory starts or ends at rest, it rests.
+        """
+        times = np.asarray(time_s, dtype=float)
+        s_m, rate, growth = self._profile.at(times)
         position, first, second = self._path.at(s_m)
-        return Sample(position, *_derivatives(first, second, rate, growth))
+        return Sample(*_motion(position, first, second, rate, growth, times, self.duration_s))
 
     def slower(self, factor: float) -> Trajectory:
-        """Return the same path flown ``factor`` times slower."""
-        return Trajectory(self._path, self._profile.slower(factor), self._survey_hz)
+        """Return the same path flown ``factor`` times slower; the speeds at its ends fall by the factor too."""
+        return Trajectory(self._path, self._profile.slower(factor), self._survey_hz, self.survey.slower(factor))
 
     @cached_property
     def survey(self) -> Survey:
-        """What a dense look at the whole trajectory finds, every instant included where the jerk steps."""
+        """What a dense look at the whole trajectory finds, every instant included where the jerk steps.
+
+        It steps where the timing's acceleration does, and where the path passes a knot.
+        """
+        if self._known is not None:
+            return self._known
+        outline = self._path.outline
         time_s = self._profile.instants(self._survey_hz)
         s_m, rate, growth = self._profile.at(time_s)
-        outline = self._path.outline
-        peaks = np.zeros(5)
+        peaks = np.zeros(len(Peaks._fields))
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         rows = max(1, SURVEY_PLACES // outline.vehicles)
         for start in range(0, len(time_s) - 1, rows):
             block = slice(start, start + rows + 1)  # neighbours share an instant: jerk needs two
             points = outline.at(s_m[block])
-            _look(*points, rate[block], growth[block], time_s[block], peaks, low, high)
+            look(*points, rate[block], growth[block], time_s[block], peaks, low, high)
+        passed_s = np.interp(self._path.knots_m, s_m, time_s)  # straight between two instants: to some micrometres
+        s_m, rate, growth = self._profile.at(passed_s)
+        look(*outline.at(s_m), rate, growth, passed_s, peaks, low, high)
         return Survey(Peaks(*peaks.tolist()), low, high)
+
+    def largest(self, of: Callable[[Sample, Array], Array]) -> Moment:
+        """Return where something is largest among all vehicles and the instants of the survey.
+
+        Args:
+            of: of a sample and its times, shape (T,): what is compared, shape (T, V). An instant is shown twice, last
+                in one sample and first in the next.
+        """
+        time_s = self._profile.instants(self._survey_hz)
+        rows = max(1, SURVEY_PLACES // self._path.vehicles)
+        found = []
+        for start in range(0, len(time_s) - 1, rows):
+            times = time_s[start : start + rows + 1]
+            sample = self.sample(times)
+            values = of(sample, times)
+            row, vehicle = np.unravel_index(int(values.argmax()), values.shape)
+            place = sample.position_m[row, vehicle]
+            found.append(Moment(float(values[row, vehicle]), int(vehicle), float(times[row]), place))
+        return max(found, key=lambda moment: moment.value)
 
     @cached_property
     def closest(self) -> Separation:
         """The closest approach of any pair, in the trajectory's own time."""
         distance_m, s_m, pair = self._path.closest()
-        time_s = np.linspace(0.0, self.duration_s, MOMENTS)
-        moment = min(int(np.searchsorted(self._profile.at(time_s)[0], s_m)), MOMENTS - 1)
-        return Separation(distance_m, float(time_s[moment]), pair)
+        return Separation(distance_m, self._profile.when(s_m), pair)
 
 
-@dataclass(frozen=True)
-class CheckedPlan:
-    """Trajectories one after the other, proven against the rules; made by :func:`check` alone.
-
-    Row v of every sample belongs to vehicle v.
-    """
-
-    pieces: tuple[Trajectory, ...]
-    starts_s: Array  # (pieces,) when each begins [s]
-    duration_s: float
-    peaks: Peaks
-    separation: Separation
-    gaze_enu_m: Array  # (3,) the point that every vehicle's nose looks at [m; ENU]
-    heading_enu: Array  # (2,) direction for a vehicle right above or below that point
-
-    def sample(self, time_s: Array) -> Sample:
-        """Return the swarm at ``time_s``, shape (T,) [s]; outside the plan it rests at the plan's ends."""
-        index = np.clip(np.searchsorted(self.starts_s, time_s, side="right") - 1, 0, len(self.pieces) - 1)
-        parts = [self.pieces[i].sample(time_s[index == i] - self.starts_s[i]) for i in np.unique(index)]
-        order = np.argsort(np.concatenate([np.flatnonzero(index == i) for i in np.unique(index)]))
-        return Sample(*(np.concatenate(field)[order] for field in zip(*parts, strict=True)))
-
-    def yaw_rad(self, position_m: Array) -> Array:
-        """Return the heading that looks at the target from each position; (..., 3) to (...) [rad; NED]."""
-        bearing = (self.gaze_enu_m - position_m)[..., :2]
-        near = np.maximum(YAW_BLEND_M - np.linalg.norm(bearing, axis=-1, keepdims=True), 0.0)
-        return yaw_from_enu(bearing + near * self.heading_enu)
-
-
-def timed(path: SwarmPath, limits: Limits) -> Trajectory:
+def timed(path: SwarmPath, limits: Limits, start_speed: float = 0.0, end_speed: float = 0.0) -> Trajectory:
     """Return the fastest trajectory of a path with continuous acceleration, and bounded jerk where a limit is given.
 
-    The time-optimal timing is averaged over a window, see :mod:`fg_gcs.plan.profile`. What then exceeds a limit is
-    mended by flying slower: stretching time by k divides speeds by k, accelerations by k squared and jerks by k
-    cubed.
-
-    Raises:
-        PlanError: no timing keeps the limits.
-    """
-    window_s = max(BLEND_S, 2.0 * limits.acceleration_m_s2 / limits.jerk_m_s3)
-    profile = Profile(time_optimal(path, limits), window_s if path.length_m > 0.0 else 0.0)
-    trajectory = Trajectory(path, profile, SURVEY_HZ if np.isinf(limits.jerk_m_s3) else JERK_HZ)
-    peaks = trajectory.survey.peaks
-    worst = max(
-        peaks.speed_m_s / limits.speed_m_s,
-        peaks.climb_m_s / limits.climb_m_s,
-        peaks.descent_m_s / limits.descent_m_s,
-        float(np.sqrt(peaks.acceleration_m_s2 / limits.acceleration_m_s2)),
-        float(np.cbrt(peaks.jerk_m_s3 / limits.jerk_m_s3)),
-    )
-    return trajectory if worst < 1.0 - BETWEEN_SAMPLES else trajectory.slower(worst * (1.0 + BETWEEN_SAMPLES))
-
-
-def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> CheckedPlan:
-    """Prove a sequence of trajectories against the rules.
+    The time-optimal timing is averaged over a window, see :mod:`fg_gcs.plan.profile`. What then exceeds a limit between
+    two rests is mended by flying slower: stretching time by k divides speeds by k, accelerations by k squared and jerks
+    by k cubed. From or to a moving end the speeds there have to stay: the path is timed again under limits that are
+    lower by what was exceeded, until nothing is.
 
     Args:
-        pieces: at least one trajectory; each starts where the one before ended.
-        rules: limits, separation and fence.
-        gaze_enu_m: the point that every vehicle looks at, shape (3,) [m].
+        path: the swarm's path.
+        limits: of every vehicle.
+        start_speed: path speed at the start, ds/dt >= 0 [m/s]; the path acceleration there is 0.
+        end_speed: path speed at the end, likewise.
 
     Raises:
-        PlanError: names the rule that is broken, by which vehicles (counted from 1), where and when.
+        PlanError: no timing keeps the limits; the text says why and what would help.
     """
-    starts_s = np.concatenate(([0.0], np.cumsum([piece.duration_s for piece in pieces])))
-    centre = pieces[0].sample(np.zeros(1)).position_m[0].mean(axis=0)
-    bearing = (gaze_enu_m - centre)[:2]
-    length = float(np.linalg.norm(bearing))
-    heading = bearing / length if length > 0.0 else np.array([0.0, 1.0])
-    surveys = [piece.survey for piece in pieces]
-    peaks = Peaks(*np.max([survey.peaks for survey in surveys], axis=0).tolist())
-    _check_limits(peaks, rules.limits)
-    for piece, survey, start_s in zip(pieces, surveys, starts_s, strict=False):
-        if rules.fence.excess_m(np.stack((survey.low_enu_m, survey.high_enu_m))).max() > ON_FENCE_M:
-            raise _outside(piece, float(start_s), rules)
-    found = [(piece.closest, float(start_s)) for piece, start_s in zip(pieces, starts_s, strict=False)]
-    separation = min(closest._replace(time_s=closest.time_s + start_s) for closest, start_s in found)
-    if separation.violates(rules.separation_m):
-        first, second = separation.pair
-        raise PlanError(
-            f"vehicles {first + 1} and {second + 1} would come within {separation.distance_m:.2f} m of each other "
-            f"at t={separation.time_s:.1f} s (minimum {rules.separation_m:.2f} m); widen the formation or the pads"
-        )
-    return CheckedPlan(tuple(pieces), starts_s[:-1], float(starts_s[-1]), peaks, separation, gaze_enu_m, heading)
+    window_s = max(BLEND_S, 2.0 * limits.acceleration_m_s2 / limits.jerk_m_s3) if path.length_m > 0.0 else 0.0
+    survey_hz = SURVEY_HZ if np.isinf(limits.jerk_m_s3) else JERK_HZ
+    if start_speed == 0.0 and end_speed == 0.0:
+        trajectory = Trajectory(path, Profile(time_optimal(path, limits), window_s), survey_hz)
+        peaks = trajectory.survey.peaks
+        worst = max(share ** (1.0 / POWERS[name]) for name, share in shares(peaks, limits).items())
+        return trajectory if worst < 1.0 - BETWEEN_SAMPLES else trajectory.slower(worst * (1.0 + BETWEEN_SAMPLES))
+    leads_m = _leads(path, start_speed, end_speed, window_s)
+    cruise = limits
+    for _ in range(MENDS):
+        timing = time_optimal(path, limits, start_speed, end_speed, leads_m, cruise)
+        trajectory = Trajectory(path, Profile(timing, window_s), survey_hz)
+        reached = shares(trajectory.survey.peaks, limits)
+        if max(reached.values()) <= 1.0 + ROUNDING:
+            return trajectory
+        cruise = _lowered(cruise, reached)
+    name = max(reached, key=lambda each: reached[each])
+    reason = excess(trajectory, name, trajectory.survey.peaks, limits, 0.0)
+    raise PlanError(f"no timing from {start_speed:.2f} to {end_speed:.2f} m/s keeps the limits: {reason}")
 
 
-def _check_limits(peaks: Peaks, limits: Limits) -> None:
-    for name, unit in UNITS:
-        peak, limit = getattr(peaks, f"{name}_{unit}"), getattr(limits, f"{name}_{unit}")
-        if peak > limit * (1.0 + 1e-6):  # rounding of a stretched trajectory, no more
-            raise PlanError(f"the plan reaches {peak:.3f} of {name}_{unit} (limit {limit:.3f}); slow it down")
+def shares(peaks: Peaks, limits: Limits) -> dict[str, float]:
+    """What share of each limit the peaks reach, by the limits' names."""
+    return {name: getattr(peaks, name) / getattr(limits, name) for name in POWERS}
 
 
-def _outside(piece: Trajectory, start_s: float, rules: Rules) -> PlanError:
-    """Say which vehicle leaves the fence furthest, when and where."""
-    time_s = np.linspace(0.0, piece.duration_s, OUTSIDE_SAMPLES)
-    position = piece.sample(time_s).position_m
-    excess = rules.fence.excess_m(position)  # (T, V)
-    instant, vehicle = np.unravel_index(int(excess.argmax()), excess.shape)
-    place = ", ".join(f"{value:.1f}" for value in position[instant, vehicle])
-    return PlanError(
-        f"vehicle {vehicle + 1} would be {excess[instant, vehicle]:.2f} m outside the fence "
-        f"at t={time_s[instant] + start_s:.1f} s, at ({place}); raise the flight or move the fence by as much"
+def _lowered(cruise: Limits, reached: dict[str, float]) -> Limits:
+    """Lower what was exceeded; jerk comes from acceleration over the window, so that goes down for it."""
+    excess = {name: share * (1.0 + BETWEEN_SAMPLES) if share > 1.0 else 1.0 for name, share in reached.items()}
+    return replace(
+        cruise,
+        speed_m_s=cruise.speed_m_s / excess["speed_m_s"],
+        climb_m_s=cruise.climb_m_s / excess["climb_m_s"],
+        descent_m_s=cruise.descent_m_s / excess["descent_m_s"],
+        acceleration_m_s2=cruise.acceleration_m_s2 / max(excess["acceleration_m_s2"], excess["jerk_m_s3"]),
     )
+
+
+def _leads(path: SwarmPath, start_speed: float, end_speed: float, window_s: float) -> tuple[float, float]:
+    """How much of the path's start and end is flown at constant speed while the window fills and empties [m].
+
+    Raises:
+        PlanError: the speeds are no numbers >= 0, or the path is too short for it.
+    """
+    if not (0.0 <= start_speed < np.inf and 0.0 <= end_speed < np.inf):
+        raise PlanError(f"start and end speed must be finite and not negative, got {start_speed} and {end_speed}")
+    start_m, end_m = 0.5 * window_s * start_speed, 0.5 * window_s * end_speed
+    if not start_m + end_m < path.length_m:
+        raise PlanError(
+            f"the path of {path.length_m:.2f} m is too short to blend accelerations between {start_speed:.2f} and "
+            f"{end_speed:.2f} m/s: that takes {start_m + end_m:.2f} m; start or end slower"
+        )
+    return start_m, end_m
+
+
+def excess(piece: Trajectory, name: str, peaks: Peaks, limits: Limits, start_s: float) -> str:
+    """Say which vehicle exceeds a limit most, when and where, and what would help."""
+    peak, limit = getattr(peaks, name), getattr(limits, name)
+    moment = piece.largest(lambda sample, time_s: _sizes(name, sample, time_s))
+    who = f"vehicle {moment.vehicle + 1}"
+    value = moment.value
+    if value <= limit:  # only the points that stand for the vehicles of a large swarm exceed it
+        who, value = f"a point around the swarm, next to {who},", peak
+    slower = (peak / limit) ** (1.0 / POWERS[name])
+    return (
+        f"{who} would reach {value:.3f} of {name} (limit {limit:.3f}) at t={moment.time_s + start_s:.1f} s, "
+        f"at {place_text(moment.position_enu_m)}; fly {slower:.3f} times slower "
+        f"or raise the limit by {peak - limit:.3f}"
+    )
+
+
+def _sizes(name: str, sample: Sample, time_s: Array) -> Array:
+    """What the limit of that name bounds, of every vehicle at every instant, shape (T, V)."""
+    if name in ("climb_m_s", "descent_m_s"):
+        return sample.velocity_m_s[:, :, 2] * (1.0 if name == "climb_m_s" else -1.0)
+    if name == "jerk_m_s3":
+        steps = np.diff(time_s)
+        changes = np.linalg.norm(np.diff(sample.acceleration_m_s2, axis=0), axis=2)
+        jerks = np.where(steps > STEP_S, 1.0 / np.maximum(steps, STEP_S), 0.0)[:, None] * changes
+        return np.concatenate((np.zeros((1, jerks.shape[1])), jerks))
+    norms: Array = np.linalg.norm(sample.velocity_m_s if name == "speed_m_s" else sample.acceleration_m_s2, axis=2)
+    return norms
+
+
+def place_text(position_m: Array) -> str:
+    """Return a place as people read it, shape (3,) [m]."""
+    return "(" + ", ".join(f"{value:.1f}" for value in position_m) + ")"
 
 
 @njit(cache=True)
-def _derivatives(first: Array, second: Array, rate: Array, growth: Array) -> tuple[Array, Array]:
-    """Velocities ``q' s'`` and accelerations ``q' s'' + q'' s'^2``, each (T, V, 3)."""
-    velocity, acceleration = np.empty_like(first), np.empty_like(first)
+def _motion(
+    position: Array, first: Array, second: Array, rate: Array, growth: Array, time: Array, duration: float
+) -> tuple[Array, Array, Array]:
+    """Positions, velocities ``q' s'`` and accelerations ``q' s'' + q'' s'^2``, each (T, V, 3).
+
+    Outside the duration there is no acceleration, and the positions are moved on at the velocity.
+    """
+    moved, velocity, acceleration = np.empty_like(first), np.empty_like(first), np.zeros_like(first)
     for i in range(first.shape[0]):
         square = rate[i] * rate[i]
+        beyond = time[i] - min(max(time[i], 0.0), duration)
         for v in range(first.shape[1]):
             for k in range(3):
                 velocity[i, v, k] = first[i, v, k] * rate[i]
-                acceleration[i, v, k] = first[i, v, k] * growth[i] + second[i, v, k] * square
-    return velocity, acceleration
+                if beyond == 0.0:
+                    acceleration[i, v, k] = first[i, v, k] * growth[i] + second[i, v, k] * square
+                moved[i, v, k] = position[i, v, k] + beyond * velocity[i, v, k]
+    return moved, velocity, acceleration
 
 
 @njit(cache=True)
-def _look(
+def look(
     position: Array,
     first: Array,
     second: Array,
@@ -235,7 +291,19 @@ def _look(
     low: Array,
     high: Array,
 ) -> None:
-    """Raise the peaks (speed, acceleration, jerk, climb, descent) and widen the box by T instants of V points."""
+    """Raise the peaks and widen the box by T instants of V points.
+
+    Args:
+        position: of the points, shape (T, V, 3) [m].
+        first: their derivatives by the path's parameter, shape (T, V, 3).
+        second: their second derivatives, shape (T, V, 3).
+        rate: derivative of the parameter by time, shape (T,).
+        growth: its second derivative, shape (T,).
+        time: ascending, shape (T,) [s].
+        peaks: the fields of :class:`Peaks`, shape (5,), raised in place.
+        low: lower corner of the box, shape (3,), widened in place.
+        high: upper corner, likewise.
+    """
     vehicles = position.shape[1]
     before = np.zeros((vehicles, 3))  # accelerations of the instant before
     speed2, acceleration2, jerk2 = peaks[0] ** 2, peaks[1] ** 2, peaks[2] ** 2
@@ -254,7 +322,7 @@ def _look(
                 low[k] = min(low[k], position[i, v, k])
                 high[k] = max(high[k], position[i, v, k])
             speed2, acceleration2 = max(speed2, v2), max(acceleration2, a2)
-            if step > 1e-4:  # instants closer than this tell rounding, not jerk
+            if step > STEP_S:
                 jerk2 = max(jerk2, j2 / (step * step))
             peaks[3] = max(peaks[3], first[i, v, 2] * rate[i])
             peaks[4] = max(peaks[4], -first[i, v, 2] * rate[i])

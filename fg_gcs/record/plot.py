@@ -18,7 +18,8 @@ from fg_gcs.core.coverage import coverage, flux_metric
 from fg_gcs.core.separation import smallest_over_time
 from fg_gcs.errors import MissionError
 from fg_gcs.plan.flight_plan import FlightPlan, Task
-from fg_gcs.plan.trajectory import CheckedPlan, Sample
+from fg_gcs.plan.proof import CheckedPlan
+from fg_gcs.plan.trajectory import Sample
 from fg_gcs.record.charts import FOLLOWER_COLOUR, LEADER_COLOURS, LIMIT_COLOUR
 from fg_gcs.record.scene import FACE_COLOUR, TARGET_COLOUR
 
@@ -104,8 +105,10 @@ def _draw_space(
         axes.plot_trisurf(*corners.T, triangles=fan, color=FACE_COLOUR, alpha=0.35, shade=False)
         axes.plot(*np.concatenate((rim, rim[:1])).T, color=FACE_COLOUR, linewidth=1.2)
         axes.scatter(*position[instant].T, color=list(colours), s=10, depthshade=False)
-    axes.scatter(*task.target_enu_m, color=TARGET_COLOUR, marker="*", s=160, depthshade=False)
-    everything = np.concatenate((position.reshape(-1, 3), task.target_enu_m[None]))
+    sources_enu_m = task.target.sources.positions_enu_m  # (C, 3)
+    size = 160.0 / np.sqrt(len(sources_enu_m))  # many stars shall not hide what surrounds them
+    axes.scatter(*sources_enu_m.T, color=TARGET_COLOUR, marker="*", s=size, depthshade=False)
+    everything = np.concatenate((position.reshape(-1, 3), sources_enu_m))
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.05 * float((high - low).max()) + 0.5
     for setter, begin, end in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), low, high, strict=True):

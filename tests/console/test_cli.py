@@ -23,6 +23,7 @@ PLAN_KEYS = [
     "flux_metric",
     "coverage_mean",
     "coverage_min_after_facing",
+    "last_scale",
     "plan_time_s",
     "timing_time_s",
     "duration_s",
@@ -67,6 +68,24 @@ def test_plan_prints_one_json_line_a_mission_with_all_keys(capsys: pytest.Captur
         assert keys["flux_metric"] >= 0.999
     assert front["path_length_m"] == pytest.approx(60.0, rel=0.03)
     assert behind["path_length_m"] == pytest.approx(70.8, rel=0.03)
+
+
+def test_plan_tells_the_size_around_the_target_and_takes_the_formulation_from_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (MISSIONS / "paper_front.toml").read_text()
+    wide, free, both = (tmp_path / f"{name}.toml" for name in ("wide", "free", "both"))
+    grown = text.replace("[limits]", "radius_m = 5.0\n[limits]")
+    wide.write_text(grown)
+    free.write_text(text + '\n[plan]\nformulation = "free"\n')
+    both.write_text(grown + '\n[plan]\nformulation = "free"\n')
+    assert main(["plan", str(wide), str(free), "--json"]) == 0
+    said = capsys.readouterr()
+    scales = [json.loads(line)["last_scale"] for line in said.out.splitlines()]
+    assert scales == [pytest.approx(2.0), 1.0]
+    assert said.err.count("formation at 2.00 times its size at the end") == 1
+    assert main(["check", str(wide), str(both)]) == 2
+    assert 'use formulation = "rigid" ([plan])' in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("ending", ["png", "svg"])

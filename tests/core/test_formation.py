@@ -54,11 +54,39 @@ def test_facing_is_a_rotation_that_looks_where_it_is_told() -> None:
         ([(0, 0, 0), (0, 0, 1), (0, 1, 0)], "wind around"),
         ([(0, 0, 0), (0, 1, 0), (1, 1, 1)], "plane of the face"),
         ([(0, 0, 0), (0, np.nan, 0), (0, 1, 1)], "finite"),
+        ([(0, 0, 0), (0, np.inf, 0), (0, 1, 1)], "finite"),
+        ([(0, 1, 1), (0, 1, 1), (0, 1, 1)], "enclose an area"),
+        ([(0, -1, -1), (0, 1, -1), (0, 1, -1), (0, 0, 1)], "slots 2 and 3 lie in one place"),
+        ([(0, -1, -1), (0, 1, -1), (0, 1, 1), (0, 0, 0), (0, -1, -1)], "slots 1 and 5 lie in one place"),
     ],
 )
 def test_shapes_without_a_face_are_refused(leaders: list[tuple[float, float, float]], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         Formation(np.array(leaders, dtype=float), np.empty((0, 3)))
+
+
+@pytest.mark.parametrize(("follower", "pair"), [(0, "1 and 10"), (5, "6 and 10"), (8, "9 and 10")])
+def test_no_two_vehicles_have_one_slot(follower: int, pair: str) -> None:
+    formation = hemisphere(4, 5, 5.0)
+    beside = formation.slots_m[follower] - np.array([1e-7, 0.0, 0.0])
+    with pytest.raises(ValueError, match=f"slots {pair} lie in one place"):
+        Formation(formation.leaders_m, np.concatenate((formation.followers_m, beside[None])))
+
+
+def test_the_inscribed_circle_is_the_largest_around_the_centre() -> None:
+    for leaders in (3, 4, 7, 40):
+        middles = hemisphere(leaders, 0, 4.0).leaders_m + np.roll(hemisphere(leaders, 0, 4.0).leaders_m, 1, axis=0)
+        assert hemisphere(leaders, 0, 4.0).inscribed_radius_m == pytest.approx(np.linalg.norm(middles, axis=1) / 2.0)
+    for rim, radius_m in (
+        ([(-4, -1), (4, -1), (4, 2), (-4, 2)], 1.0),  # the nearest of different edges
+        ([(-6, -6), (0, -2), (6, -6), (0, 8)], 2.0),  # a corner that points inwards
+        ([(1, 1), (3, 1), (3, 3), (1, 3)], 0.0),  # the centre lies outside
+    ):
+        places = np.array([(0, y, z) for y, z in rim], dtype=float)
+        formation = Formation(places, np.empty((0, 3)))
+        assert formation.inscribed_radius_m == pytest.approx(radius_m)
+        turn = Rotation.from_euler("x", 40.0, degrees=True)
+        assert Formation(turn.apply(places), np.empty((0, 3))).inscribed_radius_m == pytest.approx(radius_m)
 
 
 def test_slots_cannot_be_changed() -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -96,6 +98,41 @@ def test_the_hessian_is_the_finite_difference_of_the_gradient_and_symmetric() ->
         ) / (2 * step)
         assert np.abs(exact - difference).max() < 1e-6 * np.abs(exact).max()
         assert np.abs(exact - exact.T).max() < 1e-12 * np.abs(exact).max()
+
+
+def wide(values: Array) -> Array:
+    """The same in numbers with 64 bits of mantissa: differences of nearly singular functions need them."""
+    return cast(Array, values.astype(np.longdouble))
+
+
+def nearly_singular(seed: int) -> tuple[Array, Array]:
+    """A flat needle, or a source close to an edge, to a vertex, or outside next to the edge's extension."""
+    draw = np.random.default_rng(seed)
+    rim = polygon(3 + seed % 6)
+    rim[:, 1] *= draw.choice([1.0, 1e-2])  # a needle
+    start, end = rim[0], rim[1]
+    along = draw.choice([draw.uniform(0.1, 0.9), 0.0, 1.0, -0.2, 1.3])
+    gap_m = 10.0 ** draw.uniform(-4, -1)
+    away = draw.normal(size=3)
+    return rim, start + along * (end - start) + gap_m * away / np.linalg.norm(away)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_derivatives_hold_close_to_singular_shapes(seed: int) -> None:
+    own_rim, own_source = nearly_singular(seed)
+    rim, source = wide(own_rim), wide(own_source)
+    gap = min(float(np.linalg.norm(source - vertex)) for vertex in rim)
+    edges = np.roll(rim, -1, axis=0) - rim
+    shares = np.clip(np.einsum("ek,ek->e", source - rim, edges) / np.einsum("ek,ek->e", edges, edges), 0.0, 1.0)
+    gap = min(gap, float(np.linalg.norm(rim + shares[:, None] * edges - source, axis=1).min()))
+    step = 1e-5 * gap  # the error of the difference is its square, 1e-10
+    moves = wide(np.eye(rim.size)).reshape(-1, *rim.shape) * step
+    slope = (solid_angle.flux(rim + moves, source) - solid_angle.flux(rim - moves, source)) / (2 * step)
+    exact = solid_angle.gradient(own_rim, own_source)
+    assert np.abs(exact.ravel() - slope).max() < 1e-6 * np.abs(exact).max()
+    bends = [(solid_angle.gradient(rim + m, source) - solid_angle.gradient(rim - m, source)).ravel() for m in moves]
+    curved = solid_angle.hessian(own_rim, own_source)
+    assert np.abs(curved.reshape(rim.size, -1) - np.array(bends) / (2 * step)).max() < 1e-6 * np.abs(curved).max()
 
 
 def test_moving_rim_and_source_together_changes_nothing() -> None:

@@ -31,6 +31,7 @@ KEYS = [
     "flight_time_40_s",
     "leaders_64_ratio",
     "followers_1000_ms",
+    "memory_1000_mb",
 ]
 
 
@@ -50,6 +51,7 @@ def test_the_bench_holds_exactly_its_keys_and_takes_its_time_from_the_stopwatch(
     assert figures["plan_speedup_median"] == 2.0  # the paper's way looks at its watch once more in between
     assert figures["fg_time_ms_median"] == figures["plan_time_ms_median"] == 1000.0
     assert figures["followers_1000_ms"] == 0.0
+    assert 0.0 < figures["memory_1000_mb"] <= 200.0
     assert min(figures["flux_metric_worst_rows"], figures["flux_metric_worst_draws"]) >= 0.999
     assert figures["duration_ratio_worst"] >= 0.999  # nothing beats the reference by more than its grid
     assert any("paper's way" in line for line in told)

@@ -10,9 +10,10 @@ import pytest
 from fg_gcs.console.cli import EXPERIMENTS, main
 from fg_gcs.experiment import drawings
 from fg_gcs.experiment.flights import fly
+from fg_gcs.experiment.formulations import formulations
 from fg_gcs.experiment.published import LENGTHS_M
 from fg_gcs.experiment.results import Picture, Result, experiments, write_page, write_tables
-from fg_gcs.experiment.scenes import printed_rows, scene
+from fg_gcs.experiment.scenes import TARGETS, printed_rows, scene
 from fg_gcs.experiment.sensitivity import sensitivity
 from fg_gcs.experiment.table1 import table1
 from fg_gcs.experiment.tables import Column, Table
@@ -75,6 +76,22 @@ def test_sensitivity_sums_up_its_rows() -> None:
     assert named["ours: fresh draws"][1] == 4.0
     assert named["ours: fresh draws"][5] == 1.0  # one look at the watch to the next
     assert named["published: printed rows"][4] == min(row.flux_metric for row in printed_rows()[30:33])
+
+
+def test_both_formulations_stand_under_each_other_for_every_scene() -> None:
+    looks = itertools.count()
+    table = formulations(lambda: float(next(looks)), quiet, 2, 1)
+    assert [row[1] for row in table.rows] == ["rigid", "free"] * (len(TARGETS) + 1)
+    titles = [column.title for column in table.columns]
+    named = {(str(row[0]), str(row[1])): dict(zip(titles, row, strict=True)) for row in table.rows}
+    for scene_name in [*(scene(target).name for target in TARGETS), "2 draws"]:
+        rigid, free = named[scene_name, "rigid"], named[scene_name, "free"]
+        assert free["path length [m]"] == pytest.approx(rigid["path length [m]"], rel=0.02)
+        assert rigid["separation"] == pytest.approx(1.0)
+        assert 0.95 <= float(str(free["separation"])) < 1.0
+        for row in (rigid, free):
+            assert float(str(row["flux metric"])) >= 0.999
+            assert (row["search [s]"], row["whole plan [s]"]) == (1.0, 2.0)  # looks at the watch
 
 
 def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from fg_gcs.console.cli import main
 from fg_gcs.core.coverage import flux_metric
-from tests.flight.harness import Flight, fly, mission_of
+from tests.flight.harness import SMALL, Flight, fly, mission_of
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 AUTOPILOTS = ("px4", "ardupilot")
@@ -65,6 +65,47 @@ def test_the_simulators_own_state_says_the_target_is_surrounded(autopilot: str, 
     assert not flight.simulator.armed.any()
     assert flight.simulator.positions_enu_m[:, 2] == pytest.approx(np.zeros(4), abs=0.05)
     assert flight.truth_separation_m >= 1.4
+
+
+def test_several_targets_are_flown_around_by_a_formation_that_grows(tmp_path: Path) -> None:
+    points = [[-6.0, 10.0, 14.0], [-8.0, 12.0, 15.0], [-7.0, 9.0, 13.0]]
+    keys = f'positions_enu_m = {points}\nsource = "charges"\nweights = [2.0, 1.0, 1.0]'
+    rims: list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]] = []
+
+    async def look(flight: Flight) -> None:
+        await flight.reaches("home")
+        plan = flight.director.result.plan
+        assert plan is not None
+        rims.append(flight.simulator.positions_enu_m[plan.rim_of])
+
+    mission = mission_of(tmp_path, SMALL.replace("position_enu_m = [-6.0, 10.0, 12.0]", keys))
+    flight = fly(tmp_path, "px4", look, mission)
+    assert flight.result is not None
+    assert flight.result.completed, flight.result.reason
+    target = mission.task().target
+    assert target.centre_enu_m.tolist() == [-6.75, 10.25, 14.0]
+    centre = rims[0].mean(axis=0)
+    assert np.linalg.norm(centre - target.centre_enu_m) <= 0.25 + 0.6  # the hold's depth, GPS and tracking
+    middles = 0.5 * (rims[0] + np.roll(rims[0], -1, axis=0))
+    assert np.linalg.norm(middles - centre, axis=1) == pytest.approx(np.full(3, target.radius_m), abs=0.5)
+    assert flight.truth_separation_m >= 1.4
+
+
+@pytest.mark.parametrize(("autopilot", "jerk_m_s3"), [("px4", np.inf), ("ardupilot", 5.0)])
+def test_the_free_formulation_flies_too_within_the_vehicles_own_jerk(
+    autopilot: str, jerk_m_s3: float, tmp_path: Path
+) -> None:
+    mission = mission_of(tmp_path, SMALL + '[plan]\nformulation = "free"\n')
+    flight = fly(tmp_path, autopilot, mission=mission)
+    result = flight.result
+    assert result is not None
+    assert result.completed, result.reason
+    assert flight.truth_separation_m >= 1.4
+    assert result.task is not None
+    assert result.plan is not None
+    assert result.task.rules.limits.jerk_m_s3 == jerk_m_s3
+    assert result.plan.peaks.jerk_m_s3 <= jerk_m_s3
+    assert ("jerk_m_s3 lowered to 5: PSC_JERK_XY of vehicle 1" in flight.events) == (autopilot == "ardupilot")
 
 
 def test_same_seed_and_mission_give_the_same_tables_byte_for_byte(tmp_path: Path) -> None:

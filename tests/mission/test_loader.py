@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from hypothesis import strategies as st
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.mission.model import Table
+from fg_gcs.mission.tables import Table
+from fg_gcs.plan.targets import Target
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 GOOD = (MISSIONS / "paper_front.toml").read_text()
@@ -51,6 +54,7 @@ def test_the_missions_that_come_along_are_good(path: Path) -> None:
             "[10.0, 10.0, 2.0]",
             "[target] position_enu_m: up = 2 m lies below the floor; accepted: 3",
         ),
+        ("[10.0, 10.0, 20.0]", "[nan, inf, 20.0]", "[target] position_enu_m: got nan; accepted"),
         ("[10.0, 10.0, 20.0]", "[99.0, 10.0, 20.0]", "[target] position_enu_m: [99.0, 10.0, 20.0] lies outside"),
         ("vehicles = 9", "vehicles = 8", "[swarm] vehicles: 8 vehicles for 9 slots of the formation; accepted: 9"),
         (
@@ -74,6 +78,112 @@ def test_the_missions_that_come_along_are_good(path: Path) -> None:
 def test_one_clear_line_for_what_is_wrong(tmp_path: Path, found: str, instead: str, said: str) -> None:
     assert found in GOOD
     assert refusal(tmp_path / "bad.toml", GOOD.replace(found, instead)).startswith(said)
+
+
+TARGET = "position_enu_m = [10.0, 10.0, 20.0]"
+TWO = "positions_enu_m = [[10.0, 10.0, 20.0], [12.0, 8.0, 22.0]]"
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("", "position_enu_m: missing; accepted: either position_enu_m or positions_enu_m"),
+        (f"{TARGET}\n{TWO}", "position_enu_m: given beside positions_enu_m; accepted: either"),
+        ("positions_enu_m = []", "positions_enu_m: got []; accepted: 1 to 1000 points"),
+        (f"positions_enu_m = {[[1.0, 1.0, 9.0]] * 1001}", "positions_enu_m: got [[1"),
+        ("positions_enu_m = [[1.0, 1.0, 9.0], [1.0, 1.0, nan]]", "positions_enu_m: got nan; accepted: 1 to 1000"),
+        ("positions_enu_m = [[1.0, 1.0, 9.0], [1.0, 1.0, 2.0]]", "positions_enu_m: point 2: up = 2 m lies below the"),
+        (
+            "positions_enu_m = [[1.0, 99.0, 9.0], [1.0, 1.0, 9.0]]",
+            "positions_enu_m: point 1: [1.0, 99.0, 9.0] lies",
+        ),
+        (f"{TARGET}\nweights = [1.0]", "weights: says nothing without positions_enu_m; accepted: both or none"),
+        (f'{TARGET}\nsource = "charges"', "source: says nothing without positions_enu_m; accepted: both or none"),
+        (f"{TARGET}\nconfidence = 0.9", "confidence: says nothing without sigma_m; accepted: both or none"),
+        (f"{TWO}\nweights = [1.0]", "weights: 1 weights for 2 positions; accepted: 2 weights"),
+        (f"{TWO}\nweights = [1.0, 0.0]", "weights: got 0.0; accepted: numbers above 0"),
+        (f"{TWO}\nweights = [1e308, 1e-308]", ": every charge needs a weight above 0, got 0.0; accepted: places and"),
+        (f'{TWO}\nsource = "middle"', "source: got 'middle'; accepted: \"centre\""),
+        (f"{TARGET}\nradius_m = -1", "radius_m: got -1; accepted: radius around the target"),
+        (f"{TARGET}\nradius_m = inf", "radius_m: got inf; accepted: radius around the target"),
+        (f"{TARGET}\nsigma_m = nan", "sigma_m: got nan; accepted: standard deviation"),
+        (f"{TARGET}\nsigma_m = [1.0, 2.0]", "sigma_m: got [1.0, 2.0]; accepted: standard deviation"),
+        (f"{TARGET}\nsigma_m = 2e6", "sigma_m: got 2000000.0; accepted: standard deviation of the target's place"),
+        (f"{TARGET}\nsigma_m = 1.0\nconfidence = 1.0", "confidence: got 1.0; accepted: probability"),
+        (
+            f"{TARGET}\nradius_m = 2.0",
+            "radius_m: for a target of radius 2.00 m the closest slots of the formation are 1.46 m apart; accepted: "
+            "2.05 m or more in all, or a smaller separation ([limits] separation_m)",
+        ),
+        (f"{TARGET}\nsigma_m = 0.7", "sigma_m: for a target of radius 1.96 m the closest slots"),
+        (f"{TARGET}\nradius_m = 100", "radius_m: a target of radius 100.00 m does not fit inside the fence; accepted"),
+        (f"{TARGET}\nradius_m = 1.7e308\nsigma_m = 1.0", "radius_m: a target of radius"),
+    ],
+)
+def test_one_clear_line_for_what_is_wrong_with_a_target(tmp_path: Path, keys: str, said: str) -> None:
+    assert TARGET in GOOD
+    line = refusal(tmp_path / "bad.toml", GOOD.replace(TARGET, keys))
+    assert line.startswith("[target]" + ("" if said.startswith(":") else " ") + said)
+
+
+def target_of(path: Path, keys: str) -> Target:
+    path.write_text(GOOD.replace(TARGET, keys))
+    return load_mission(path).task().target
+
+
+def test_radii_of_points_extent_and_uncertainty_add_up(tmp_path: Path) -> None:
+    path = tmp_path / "m.toml"
+    point = target_of(path, TARGET)
+    assert (point.centre_enu_m.tolist(), point.radius_m) == ([10.0, 10.0, 20.0], 0.0)
+    spread = np.sqrt(7.814728)  # the 95 % quantile of chi-square with three degrees of freedom, as tables print it
+    assert target_of(path, f"{TARGET}\nradius_m = 3.0").radius_m == 3.0
+    assert target_of(path, f"{TARGET}\nsigma_m = 2").radius_m == pytest.approx(2.0 * spread)
+    assert target_of(path, f"{TARGET}\nsigma_m = [1.0, 2.0, 0.0]").radius_m == pytest.approx(2.0 * spread)
+    wide = target_of(path, f"{TARGET}\nsigma_m = 2.0\nconfidence = 0.99").radius_m
+    assert wide == pytest.approx(2.0 * np.sqrt(11.344867))
+    two = (np.sqrt(3.0) + 5.0) / np.sqrt(2.0)  # the points are sqrt(3) m from their middle
+    for source in ("centre", "charges"):
+        group = target_of(path, f'{TWO}\nsource = "{source}"\nradius_m = 1.0\nsigma_m = 2.0')
+        assert group.centre_enu_m == pytest.approx([11.0, 9.0, 21.0])
+        assert group.radius_m == pytest.approx(two + 1.0 + 2.0 * spread)
+        assert len(group.sources.weights) == {"centre": 1, "charges": 2}[source]
+    heavy = target_of(path, f"{TWO}\nweights = [1.5e308, 0.5e308]")
+    assert heavy.centre_enu_m == pytest.approx([10.5, 9.5, 20.5])
+
+
+def test_the_task_knows_the_size_around_the_target_and_the_formulation(tmp_path: Path) -> None:
+    path = tmp_path / "m.toml"
+    path.write_text(GOOD.replace(TARGET, f'{TARGET}\nradius_m = 5.0\n[plan]\nformulation = "free"'))
+    task = load_mission(path).task()
+    assert task.last_scale == pytest.approx(2.0)  # the paper's square of 5 m holds a ball of 2.5 m
+    assert task.formulation == "free"
+    assert load_mission(MISSIONS / "paper_front.toml").task().formulation == "rigid"
+    said = refusal(path, GOOD.replace("[target]", '[plan]\nformulation = "soft"\n[target]'))
+    assert said.startswith("[plan] formulation: got 'soft'; accepted: \"rigid\"")
+
+
+@pytest.mark.parametrize(
+    ("rim", "said"),
+    [
+        ("[[-2, -2], [2, -2], [2, -2], [0, 3]]", "slots 2 and 3 lie in one place"),
+        ("[[-2, -2], [2, -2], [0, 3], [0, 3]]", "slots 3 and 4 lie in one place"),
+        ("[[-2, -2], [0, -2], [2, -2], [4, -2]]", "enclose an area"),
+        ("[[1, 1], [1, 1], [1, 1], [1, 1]]", "enclose an area"),
+    ],
+)
+def test_rims_without_a_face_are_refused(tmp_path: Path, rim: str, said: str) -> None:
+    shape = f'shape = "custom"\nleaders_yz_m = {rim}'
+    text = re.sub(r'shape = "hemisphere"\nleaders = 4\nfollowers = 5\nedge_m = 5.0', shape, GOOD)
+    line = refusal(tmp_path / "rim.toml", text.replace("vehicles = 9", "vehicles = 4"))
+    assert line.startswith("[formation] shape: ")
+    assert said in line
+
+
+def test_a_rim_beside_its_centre_covers_no_ball(tmp_path: Path) -> None:
+    shape = 'shape = "custom"\nleaders_yz_m = [[3, 1], [7, 1], [5, 6]]'
+    text = re.sub(r'shape = "hemisphere"\nleaders = 4\nfollowers = 5\nedge_m = 5.0', shape, GOOD)
+    text = text.replace("vehicles = 9", "vehicles = 3").replace(TARGET, f"{TARGET}\nradius_m = 5.0")
+    assert refusal(tmp_path / "rim.toml", text).startswith("[target] radius_m: no circle fits into the face")
 
 
 def test_files_that_are_no_missions(tmp_path: Path) -> None:
@@ -120,20 +230,27 @@ def test_a_custom_formation(tmp_path: Path) -> None:
     assert mission.task().formation.slots_m.tolist() == [[0, -2, -2], [0, 2, -2], [0, 0, 3], [-2, 0, 0]]
 
 
-def tables(model: type[Table]) -> dict[str, type[Table]]:
-    found: dict[str, type[Table]] = {}
+def inner(annotation: object) -> list[type[Table]]:
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return [annotation]
+    return [table for part in get_args(annotation) for table in inner(part)]
+
+
+def tables(model: type[Table], above: str = "") -> Iterator[tuple[str, type[Table]]]:
     for name, field in model.model_fields.items():
-        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
-            if isinstance(kind, type) and issubclass(kind, Table):
-                found[name] = kind
-    return found
+        for kind in inner(field.annotation):
+            yield above + name, kind
+            yield from tables(kind, f"{above}{name}.")
 
 
 def test_every_key_is_explained_in_the_missions_readme() -> None:
     text = (MISSIONS / "README.md").read_text()
-    for table, model in tables(Mission).items():
-        assert f"`[{table}]`" in text
-        for key in model.model_fields:
+    names = dict(tables(Mission))
+    assert len(names) > 15
+    for table, model in tables(Mission):
+        assert f"`[{table}]`" in text or f"`[[{table}]]`" in text
+        for key, field in model.model_fields.items():
             assert f"`{key}`" in text, f"[{table}] {key}"
+            assert field.description, f"[{table}] {key}"
     for path in MISSIONS.glob("*.toml"):
         assert f"`{path.name}`" in text

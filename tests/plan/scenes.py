@@ -11,6 +11,7 @@ from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight
 from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.plan.targets import Target
 
 Array = NDArray[np.float64]
 
@@ -27,7 +28,7 @@ def task(
 ) -> Task:
     start = Pose(np.array([0.0, 2.5, 12.5]), START.rotation)
     fence = Fence((-80.0, -80.0, 3.0), (80.0, 80.0, 80.0))
-    return Task(formation, start, np.array(target), 0.25, Rules(limits, separation_m, fence))
+    return Task(formation, start, Target.ball(target), 0.25, Rules(limits, separation_m, fence))
 
 
 def tops(count: int = 9, spacing_m: float = 3.0) -> Array:

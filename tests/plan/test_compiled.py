@@ -15,7 +15,7 @@ from tests.plan.scenes import compiled
 def test_once_built_the_planner_is_in_its_cache_and_compiles_no_more() -> None:
     build()
     assert is_built()
-    kernels = (rigid_search.search, timing._reach, profile._averaged, trajectory._look, rigid_path._rigid_points)  # noqa: SLF001 # what build() is for
+    kernels = (rigid_search.search, timing._reach, profile._averaged, trajectory.look, rigid_path._rigid_points)  # noqa: SLF001 # what build() is for
     before = [kernel.signatures for kernel in kernels]
     assert all(before)
     compiled()

@@ -11,6 +11,7 @@ from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
+from fg_gcs.plan.rigid_path import PosePath
 from tests.plan.scenes import PAPER, compiled, task
 
 FLOOR = Fence((-60.0, -60.0, 3.0), (60.0, 60.0, 60.0))
@@ -56,6 +57,29 @@ def test_random_targets_inside_random_fences_never_leave_them() -> None:
             continue
         assert max(float(fence.excess_m(PAPER.place(pose)).max()) for pose in path.poses) <= 1e-9
     assert refused <= 8  # corners, where no attitude fits
+
+
+@pytest.mark.parametrize(("last", "above_m"), [(0.4, 0.7), (1.6, 2.0)])
+def test_a_formation_that_changes_its_scale_stays_inside_too(last: float, above_m: float) -> None:
+    draw = np.random.default_rng(int(10 * last))
+    low, high = np.array(FLOOR.low_enu_m), np.array(FLOOR.high_enu_m)
+    bent = 0
+    for _ in range(40):
+        target = draw.uniform(low + above_m, np.array([40.0, 40.0, low[2] + 2.0 * above_m]))
+        made = task((float(target[0]), float(target[1]), float(target[2])))
+        try:
+            path = plan_path(PAPER, made.start, target, 0.25, last, FLOOR)
+        except PlanError as error:
+            assert "does not fit" in str(error)  # noqa: PT017 (some may be refused, for this)
+            continue
+        free = plan_path(PAPER, made.start, target, 0.25, last)
+        bent += len(free.poses) != len(path.poses)
+        body = PosePath(PAPER.slots_m, path.poses)
+        places = body.at(np.linspace(0.0, body.length_m, 1000)).position_m
+        assert (places >= low - 1e-9).all()
+        assert (places <= high + 1e-9).all()
+        assert path.poses[-1].scale == last
+    assert bent >= 10
 
 
 def test_what_cannot_fit_is_refused_with_the_smallest_change() -> None:

@@ -11,7 +11,8 @@ from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import FluxPath, plan_path
 from fg_gcs.plan.rigid_path import PosePath
-from fg_gcs.plan.rigid_search import maximise_in_ball
+from fg_gcs.plan.rigid_search import charged_flux, place, pose_derivatives, turned
+from fg_gcs.plan.targets import Charges
 from tests.plan.scenes import PAPER, START
 
 Array = NDArray[np.float64]
@@ -132,19 +133,58 @@ def test_targets_that_are_none_are_refused(target: tuple[float, float, float]) -
         plan_path(PAPER, START, np.array(target))
 
 
-def test_maximise_in_ball_beats_every_random_point_and_stays_inside() -> None:
-    for seed in range(100):
+def test_derivatives_by_move_and_turn_are_finite_differences_for_one_source_and_several() -> None:
+    step = 1e-4
+    for seed in range(30):
         draw = np.random.default_rng(seed)
-        matrix = draw.normal(size=(6, 6))
-        hessian = matrix + matrix.T
-        gradient = draw.normal(size=6) * draw.choice([0.0, 1e-3, 1.0, 1e3])
-        if seed % 3 == 0:  # no gradient along the leading eigenvector: the hard case
-            leading = np.linalg.eigh(hessian)[1][:, -1]
-            gradient -= (gradient @ leading) * leading
-        best = maximise_in_ball(gradient, hessian)
-        assert np.linalg.norm(best) <= 1.0 + 1e-6
-        points = draw.normal(size=(3000, 6))
-        points /= np.maximum(np.linalg.norm(points, axis=1), 1.0)[:, None]
-        values = points @ gradient + 0.5 * np.einsum("ni,ij,nj->n", points, hessian, points)
-        value = best @ gradient + 0.5 * best @ hessian @ best
-        assert value >= values.max() - 1e-6 * (1 + abs(value))
+        rim = hemisphere(int(draw.integers(3, 8)), 0, 5.0).leaders_m
+        sources = draw.normal(size=(1 + seed % 3, 3)) * 6.0 + np.array([8.0, 0.0, 0.0])
+        weights = draw.uniform(0.5, 2.0, len(sources))
+        centre, rotation = draw.normal(size=3), Rotation.random(rng=draw).as_matrix()
+        vertices = np.empty_like(rim)
+
+        def flux_at(change: Array) -> float:
+            place(rim, centre + change[:3], turned(rotation, *change[3:].tolist()), 1.0, vertices)  # noqa: B023 (used within the loop)
+            return float(charged_flux(vertices, sources, weights))  # noqa: B023 (as above)
+
+        place(rim, centre, rotation, 1.0, vertices)
+        gradient, hessian = np.empty(6), np.empty((6, 6))
+        assert pose_derivatives(vertices.copy(), centre, sources, weights, 1e-3, gradient, hessian)
+        moves = step * np.eye(6)
+        slope = np.array([flux_at(move) - flux_at(-move) for move in moves]) / (2 * step)
+        assert slope == pytest.approx(gradient, abs=1e-6 * np.abs(gradient).max())
+        bend = np.array(
+            [[flux_at(a + b) - flux_at(a - b) - flux_at(b - a) + flux_at(-a - b) for a in moves] for b in moves]
+        ) / (4 * step**2)
+        assert bend == pytest.approx(
+            hessian, abs=2e-6 * np.abs(hessian).max()
+        )  # a second difference has half the digits
+
+
+def test_one_charge_is_a_point_whatever_its_weight() -> None:
+    target = np.array([30.0, -20.0, 10.0])
+    one, other = (
+        plan_path(PAPER, START, target, 0.2),
+        plan_path(PAPER, START, Charges(target[None], np.array([7.0])), 0.2),
+    )
+    assert np.array_equal(one.poses.rows, other.poses.rows)
+
+
+def test_several_charges_end_with_their_centre_on_the_axis_and_the_face_towards_them_on_the_way() -> None:
+    for seed in range(40):
+        draw = np.random.default_rng(seed)
+        charges = Charges(draw.uniform(-60, 60, 3) + draw.normal(size=(5, 3)) * 3.0, draw.uniform(0.5, 2.0, 5))
+        middle = charges.centre_enu_m
+        path = plan_path(PAPER, START, charges, 0.2, last_scale=3.0)
+        end = path.poses[-1]
+        assert end.centre_enu_m == pytest.approx(middle + 0.2 * end.rotation[:, 0])
+        assert flux_metric(rims(PAPER, path)[-1:], middle)[0] >= 0.999
+        covered = coverage(rims(PAPER, path), middle)
+        assert covered[int(np.argmax(covered >= FACING)) :].min() >= 0.8  # it looks at the charges, not at their middle
+
+
+def test_the_flux_of_several_charges_only_grows_until_the_last_slide() -> None:
+    charges = Charges(np.array([(40.0, 5.0, 0.0), (42.0, -4.0, 6.0), (37.0, 1.0, -5.0)]), np.array([1.0, 1.0, 2.0]))
+    path = plan_path(PAPER, START, charges)
+    flux = [charges.flux(rim) for rim in rims(PAPER, path)[:-1]]
+    assert (np.diff(flux) > 0.0).all()

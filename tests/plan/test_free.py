@@ -172,7 +172,6 @@ def test_the_hold_is_as_deep_as_told_and_in_place_already_is_an_empty_path() -> 
         (PAPER, Pose(np.zeros(3), np.eye(3), 0.0), (9, 9, 9), "scale"),
         (PAPER, START, (-0.002, -0.001, -0.001), "rim"),
         (PAPER, START, (0, 2.5, 0), "rim"),
-        (Formation(PAPER.leaders_m, PAPER.leaders_m[:1]), START, (9, 9, 9), "one place"),
     ],
 )
 def test_what_has_no_plan_is_refused(formation: Formation, start: Pose, target: tuple[float, ...], said: str) -> None:

@@ -1,19 +1,18 @@
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from fg_gcs.core import solid_angle
-from fg_gcs.core.formation import hemisphere
+from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.targets import Charges, PointTarget, centre_of_charge, edge_for_radius_m, uncertain
+from fg_gcs.plan.targets import Charges, Target, centre_of_charge, edge_for_radius_m, uncertain
 
 Array = NDArray[np.float64]
 
-RIM = hemisphere(5, 0, 4.0).leaders_m
+RIM_FORMATION = hemisphere(5, 0, 4.0)
+RIM = RIM_FORMATION.leaders_m
 
 
 def test_one_charge_has_the_flux_of_a_point_whatever_its_weight() -> None:
@@ -49,15 +48,53 @@ def test_the_centre_of_charge_has_the_papers_square_with_every_target_inside_its
     for seed in range(50):
         positions = np.random.default_rng(seed).normal(200.0, 100.0, (10, 3))
         target = centre_of_charge(positions)
-        distances = np.linalg.norm(positions - np.array(target.position_enu_m), axis=1)
+        distances = np.linalg.norm(positions - target.centre_enu_m, axis=1)
         edge = edge_for_radius_m(target.radius_m)
-        assert target.position_enu_m == pytest.approx(positions.mean(axis=0))
+        assert target.centre_enu_m == pytest.approx(positions.mean(axis=0))
         assert edge == pytest.approx((2.0 * distances.max() + 10.0) / np.sqrt(2.0))
         assert distances.max() < edge / np.sqrt(2.0)
 
 
 def test_a_single_target_keeps_the_clearance() -> None:
     assert edge_for_radius_m(centre_of_charge([[1.0, 2.0, 3.0]]).radius_m) == pytest.approx(10.0 / np.sqrt(2.0))
+
+
+def test_heavier_targets_pull_the_centre_and_the_furthest_one_sets_the_size() -> None:
+    positions, weights = np.array([(0.0, 0.0, 0.0), (8.0, 0.0, 0.0)]), [3.0, 1.0]
+    target = centre_of_charge(positions, weights)
+    assert target.centre_enu_m.tolist() == [2.0, 0.0, 0.0]
+    assert edge_for_radius_m(target.radius_m) == pytest.approx((2.0 * 6.0 + 10.0) / np.sqrt(2.0))
+    assert len(target.sources.positions_enu_m) == 1
+    doubled = centre_of_charge([positions[0]] * 3 + [positions[1]])
+    assert (doubled.centre_enu_m.tolist(), doubled.radius_m) == (target.centre_enu_m.tolist(), target.radius_m)
+
+
+def test_one_source_is_a_point_and_several_are_charges() -> None:
+    point = Target.ball((1.0, 2.0, 3.0)).source
+    assert isinstance(point, np.ndarray)
+    assert point.tolist() == [1.0, 2.0, 3.0]
+    charges = Charges(np.eye(3), np.ones(3))
+    assert Target(charges, 4.0).source is charges
+
+
+def test_radii_add_up_and_the_face_gets_an_inscribed_circle_of_their_sum() -> None:
+    for leaders in (3, 4, 6):
+        formation = hemisphere(leaders, 1, 5.0)
+        target = Target.ball((1.0, 2.0, 3.0), 2.5).wider(1.5).wider(0.25)
+        scale = target.last_scale(formation)
+        rim = formation.place(Pose(np.zeros(3), np.eye(3), scale))[:leaders]
+        assert np.linalg.norm(rim + np.roll(rim, 1, axis=0), axis=1) / 2.0 == pytest.approx(4.25)
+        assert target.last_scale(formation, 7.0) == scale
+
+
+def test_a_point_leaves_the_formation_at_its_size() -> None:
+    assert Target.ball((1.0, 2.0, 3.0)).last_scale(RIM_FORMATION, 1.3) == 1.3
+
+
+def test_a_face_beside_its_centre_covers_no_ball() -> None:
+    aside = Formation(RIM + np.array([0.0, 9.0, 0.0]), np.empty((0, 3)))
+    with pytest.raises(PlanError, match="no circle fits"):
+        Target.ball((1.0, 2.0, 3.0), 1.0).last_scale(aside)
 
 
 @pytest.mark.parametrize("confidence", [0.5, 0.9, 0.99])
@@ -70,13 +107,14 @@ def test_an_uncertain_target_lies_in_the_ball_as_often_as_stated(confidence: flo
         covariance = turn @ spread @ turn.T
         target = uncertain([5.0, 6.0, 7.0], 0.5 * (covariance + covariance.T), confidence)
         places = draw.multivariate_normal([5.0, 6.0, 7.0], covariance, count, method="eigh")
-        share = (np.linalg.norm(places - target.position_enu_m, axis=1) <= target.radius_m).mean()
+        share = (np.linalg.norm(places - target.centre_enu_m, axis=1) <= target.radius_m).mean()
         assert share >= confidence - noise
         assert not exact or share <= confidence + noise
 
 
 def test_certainty_has_no_radius_and_a_larger_confidence_a_larger_one() -> None:
-    assert uncertain([1, 2, 3], np.zeros((3, 3)), 0.9) == PointTarget((1.0, 2.0, 3.0), 0.0)
+    known = uncertain([1, 2, 3], np.zeros((3, 3)), 0.9)
+    assert (known.centre_enu_m.tolist(), known.radius_m) == ([1.0, 2.0, 3.0], 0.0)
     radii = [uncertain([0, 0, 0], np.diag([1.0, 2.0, 0.0]), share).radius_m for share in (0.1, 0.5, 0.9, 0.999)]
     assert (np.diff(radii) > 0).all()
     assert radii[1] == pytest.approx(np.sqrt(2.0 * 2.365974))  # median of chi-square with three degrees: printed tables
@@ -97,13 +135,13 @@ def test_places_that_are_none_are_refused(place: object) -> None:
     with pytest.raises(PlanError):
         uncertain(np.array(place, dtype=object), np.eye(3), 0.9)
     with pytest.raises(PlanError):
-        PointTarget(cast("tuple[float, float, float]", place))
+        Target.ball(np.array(place, dtype=object))
 
 
 @pytest.mark.parametrize("radius", [-1.0, np.nan, np.inf])
 def test_radii_that_are_none_are_refused(radius: float) -> None:
     with pytest.raises(PlanError, match="radius"):
-        PointTarget((0.0, 0.0, 0.0), radius)
+        Target.ball((0.0, 0.0, 0.0), radius)
     with pytest.raises(PlanError, match="radius"):
         edge_for_radius_m(radius)
 
@@ -148,6 +186,11 @@ def test_charges_without_a_flux_are_refused(positions: Array, weights: list[floa
 def test_what_is_no_covariance_or_confidence_is_refused(covariance: Array, confidence: float, said: str) -> None:
     with pytest.raises(PlanError, match=said):
         uncertain([0, 0, 0], covariance, confidence)
+
+
+def test_absurd_distances_are_refused() -> None:
+    with pytest.raises(PlanError, match="radius"):
+        centre_of_charge([[1e300, 0.0, 0.0], [-1e300, 0.0, 0.0]])
 
 
 def test_no_targets_have_no_centre() -> None:

@@ -1,11 +1,16 @@
+import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fg_gcs.errors import MissionError
 from fg_gcs.plan.flight_plan import FlightPlan
+from fg_gcs.plan.targets import Charges, Target
 from fg_gcs.record.plot import plot_plan
+from fg_gcs.record.scene import TARGET_COLOUR
 from tests.plan.scenes import compiled, task
 
 BEGINNINGS = {"png": b"\x89PNG\r\n", "svg": b"<?xml", "pdf": b"%PDF"}
@@ -35,6 +40,17 @@ def test_the_drawing_names_what_it_shows(plan: FlightPlan, tmp_path: Path) -> No
     for words in ("speed [m/s]", "closest pair [m]", "flux metric", "coverage", "gather", "approach", "home", "target"):
         assert f"<!-- {words} -->" in text
     assert f"{plan.figures.path_length_m:.1f} m over all leaders" in text
+
+
+def test_every_source_has_its_star(tmp_path: Path) -> None:
+    stars = []
+    for count in (1, 4):
+        places = np.array([10.0, 10.0, 20.0]) + np.arange(count)[:, None] * np.array([1.0, -1.0, 0.5])
+        made = replace(task(), target=Target(Charges(places, np.ones(count))))
+        path = tmp_path / f"{count}.svg"
+        plot_plan(compiled(made), made, path)
+        stars.append(len(re.findall(rf"<use [^>]*fill: {TARGET_COLOUR}", path.read_text())))
+    assert stars[1] - stars[0] == 3
 
 
 @pytest.mark.parametrize("name", ["plan.jpg", "plan", "plan.html", ".png"])

@@ -1,0 +1,43 @@
+"""What all tables of a mission file are made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
+
+FOLDER = "folder"  # of the mission file: the key of the validation context under which the loader states it
+
+
+class Problem(NamedTuple):
+    """What is wrong with which key of which table."""
+
+    table: str  # empty for the top of the file
+    key: str
+    text: str
+
+
+class Table(BaseModel):
+    """A table of the file: strict types, no unknown keys, read-only."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+def _beside_the_mission(path: str, info: ValidationInfo) -> str:
+    folder = (info.context or {}).get(FOLDER)
+    return path if folder is None else str(Path(folder) / path)
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Deviation = Annotated[float, Field(ge=0, le=1e6)]  # its square still counts beside those of metres
+Length = Annotated[float, Field(ge=0.1, le=1e6)]  # of made-up motions: angles and times stay numbers
+Rate = Annotated[float, Field(gt=0, le=1e4)]  # speeds and accelerations of those
+Seed = Annotated[int, Field(ge=0, le=2**63)]
+SystemId = Annotated[int, Field(ge=1, le=250)]
+Point = tuple[Finite, Finite, Finite]
+Ground = tuple[Finite, Finite]
+FilePath = Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_beside_the_mission)]

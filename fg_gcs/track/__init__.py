@@ -1,0 +1,1 @@
+"""Moving targets: sightings, what is known from them, and motions that follow it within all limits."""

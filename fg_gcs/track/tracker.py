@@ -1,0 +1,106 @@
+"""From sightings to rides: estimators for every target, their group, and the inner loop, without clock or network."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fg_gcs.core.formation import Pose
+from fg_gcs.track.estimator import Estimator, Settings
+from fg_gcs.track.group import Group, GroupEstimate, needed_scale
+from fg_gcs.track.replanner import Goal, Mode, Replan, Replanner, Swarm
+from fg_gcs.track.ride import Ride
+from fg_gcs.track.sightings import Sighting, Verdict
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """What a mission says about tracking."""
+
+    weights: Mapping[str, float]  # of every target, by its name
+    estimator: Settings
+    capture_m: float = 1.5  # the target is caught when the formation's centre is this near to its place
+    confidence: float = 0.95  # with which a ball holds a target
+    most_radius_m: float = 0.0  # of the ball that the formation grows for; 0: it keeps its size
+
+
+class Tracker:
+    """Follows targets.
+
+    Attributes:
+        counts: sightings by what became of them.
+        replanner: the inner loop, with the present ride.
+        caught_s: when the formation first was around the target [s], None until then.
+    """
+
+    def __init__(self, swarm: Swarm, tracking: Tracking, start: Pose, start_s: float) -> None:
+        """Rest at a pose from a time on [s]."""
+        self.counts: Counter[Verdict] = Counter()
+        self.replanner = Replanner(swarm, start, start_s)
+        self.caught_s: float | None = None
+        self._swarm = swarm
+        self._tracking = tracking
+        self._estimators = {name: Estimator(tracking.estimator) for name in tracking.weights}
+        settings = tracking.estimator
+        self._group = Group(tracking.weights, settings.lost_after_s, tracking.most_radius_m, tracking.confidence)
+        self._first_scale = start.scale
+
+    @property
+    def ride(self) -> Ride:
+        """The present ride."""
+        return self.replanner.ride
+
+    def sighted(self, sighting: Sighting, now_s: float) -> Verdict:
+        """Take a sighting; return what became of it."""
+        estimator = self._estimators.get(sighting.target)
+        verdict = Verdict.UNKNOWN_TARGET if estimator is None else estimator.add(sighting, now_s)
+        self.counts[verdict] += 1
+        return verdict
+
+    def known(self, now_s: float) -> GroupEstimate | None:
+        """Return what is known of the targets now, None before they are seen."""
+        return self._group.at(now_s, {name: each.at(now_s) for name, each in self._estimators.items()})
+
+    def replan(self, now_s: float) -> Replan | None:
+        """Look for a better ride from now on; None while nothing is known.
+
+        When every target is lost the formation waits where the present ride ends, and grows with the uncertainty.
+        """
+        known = self.known(now_s)
+        if known is None:
+            return None
+        scale = needed_scale(self._swarm.formation.inscribed_radius_m, known.radius_m, self._first_scale)
+        if len(known.lost) == len(self._tracking.weights):
+            return self.replanner.wait(scale, now_s)
+        goal = Goal(
+            now_s,
+            known.position_enu_m,
+            known.velocity_m_s,
+            known.acceleration_m_s2,
+            scale,
+            self._tracking.estimator.ease_s,
+        )
+        replan = self.replanner.look(goal, now_s)
+        if self.caught_s is None and replan.mode is Mode.FOLLOW and self.error_m(now_s) < self._tracking.capture_m:
+            self.caught_s = now_s
+        return replan
+
+    def error_m(self, now_s: float) -> float:
+        """Return how far the formation's centre is from its place around the target, as far as known [m]."""
+        known = self.known(now_s)
+        if known is None:
+            return np.inf
+        return float(np.linalg.norm(self.place(now_s) - known.position_enu_m))
+
+    def place(self, now_s: float) -> Array:
+        """Return where the target is if it is held: on the axis, at the hold's depth, shape (3,) [m; ENU]."""
+        frames = self.ride.frames(np.array([now_s]))
+        normal = frames.arms[0, 0, :, 0] / frames.scale[0]
+        place: Array = frames.centre[0, 0] - self._swarm.hold_depth_m * normal
+        return place

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fg_gcs.track.follow import Bounds, Joints
+
+Array = NDArray[np.float64]
+
+
+def bounds(count: int = 3, speed: float = 3.0, acceleration: float = 2.0, jerk: float = 10.0) -> Bounds:
+    return Bounds(*(np.full(count, value) for value in (-speed, speed, acceleration, jerk)))
+
+
+def chained(seed: int) -> Joints:
+    """A motion to a moving state, straight on, and to rest, from a state within the bounds."""
+    draw = np.random.default_rng(seed)
+    start = np.stack((draw.normal(size=3) * 5.0, draw.uniform(-2, 2, 3), draw.uniform(-1, 1, 3)))
+    goal = np.stack((draw.normal(size=3) * 5.0, draw.uniform(-2, 2, 3), draw.uniform(-1, 1, 3)))
+    joints = Joints(10.0, start)
+    assert joints.to(goal, bounds(), float(draw.choice([0.0, 6.0])))
+    assert joints.end == pytest.approx(goal, abs=1e-6)
+    assert joints.to_velocity(goal[1], bounds())
+    joints.straight_on(joints.end_s + 1.5)
+    assert joints.end[1] == pytest.approx(goal[1], abs=1e-6)
+    assert joints.to_velocity(np.zeros(3), bounds())
+    return joints
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_chain_is_continuous_up_to_the_acceleration_and_keeps_every_bound(seed: int) -> None:
+    joints = chained(seed)
+    time_s = np.linspace(joints.start_s - 0.5, joints.end_s + 0.5, 4001)
+    inside = (time_s > joints.start_s) & (time_s < joints.end_s)
+    states = joints.at(time_s)
+    step = float(time_s[1] - time_s[0])
+    position, velocity, acceleration = states.transpose(1, 0, 2)
+    assert np.abs(np.diff(position, axis=0) - step * velocity[:-1]).max() < 3.0 * step**2
+    assert np.abs(velocity[inside]).max() <= 3.0 + 1e-6
+    assert np.abs(acceleration[inside]).max() <= 2.0 + 1e-6
+    jumps = np.abs(np.diff(acceleration[inside], axis=0))
+    assert jumps.max() <= 10.0 * step + 1e-6
+    assert states[-1, 1:] == pytest.approx(np.zeros((2, 3)), abs=1e-9)
+
+
+def test_a_least_duration_is_kept_and_a_state_in_place_takes_no_time() -> None:
+    start = np.zeros((3, 2))
+    slow = Joints(0.0, start)
+    assert slow.to(np.array([[1.0, 0.5], [0.0, 0.0], [0.0, 0.0]]), bounds(2), 4.0)
+    assert slow.end_s == pytest.approx(4.0)
+    there = Joints(0.0, start)
+    assert there.to(start, bounds(2))
+    assert there.end_s == 0.0
+    assert there.at(np.array([-1.0, 0.0, 1.0])) == pytest.approx(np.zeros((3, 3, 2)))
+
+
+def test_what_no_bound_allows_and_what_is_no_number_is_refused_and_changes_nothing() -> None:
+    joints = Joints(0.0, np.zeros((3, 1)))
+    assert not joints.to(np.array([[1.0], [9.0], [0.0]]), bounds(1))
+    assert joints.end_s == 0.0
+    assert not Joints(0.0, np.full((3, 1), np.nan)).to_velocity(np.zeros(1), bounds(1))
