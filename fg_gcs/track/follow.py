@@ -16,6 +16,7 @@ from ruckig import ControlInterface, InputParameter, Result, Ruckig, RuckigError
 
 Array = NDArray[np.float64]
 
+ROOM, SPARE_M_S = 1.01, 0.01  # a goal right on a bound has no way to it
 SHORTEST_S = 1e-9  # phases shorter than this are none
 
 
@@ -24,8 +25,17 @@ class Bounds(NamedTuple):
 
     lowest_velocity: Array
     highest_velocity: Array
-    acceleration: Array
+    lowest_acceleration: Array
+    highest_acceleration: Array
     jerk: Array
+
+    def reaching(self, goal: Array) -> Bounds:
+        """Return bounds of velocity just wide enough for a goal's, shape (3, D), and for what its acceleration adds."""
+        room = ROOM * np.abs(goal[1]) + goal[2] ** 2 / (2.0 * self.jerk) + SPARE_M_S
+        return self._replace(
+            lowest_velocity=np.minimum(self.lowest_velocity, -room),
+            highest_velocity=np.maximum(self.highest_velocity, room),
+        )
 
 
 class Joints:
@@ -107,7 +117,8 @@ class Joints:
         asked = InputParameter(self._end.shape[1])
         asked.current_position, asked.current_velocity, asked.current_acceleration = self._end.tolist()
         asked.min_velocity, asked.max_velocity = bounds.lowest_velocity.tolist(), bounds.highest_velocity.tolist()
-        asked.max_acceleration, asked.max_jerk = bounds.acceleration.tolist(), bounds.jerk.tolist()
+        asked.min_acceleration = bounds.lowest_acceleration.tolist()
+        asked.max_acceleration, asked.max_jerk = bounds.highest_acceleration.tolist(), bounds.jerk.tolist()
         return asked
 
     def _add(self, asked: InputParameter) -> bool:

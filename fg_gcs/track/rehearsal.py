@@ -51,7 +51,7 @@ class Figures(NamedTuple):
     caught_s: float | None  # since the beginning
     error_rms_m: float | None  # of the formation's place around the true target, once settled
     error_p95_m: float | None
-    flux_metric_share: float | None  # of the time, once settled, in which the metric is 0.9 or more
+    flux_metric_share: float | None  # of the time since the capture in which the metric is 0.9 or more
     coverage_min_after_facing: float | None  # of the true target, on the way to the capture
     found_again_s: tuple[float | None, ...]  # per loss: from the first sighting to an error below the capture's
     separation_m: float  # of the closest pair
@@ -63,20 +63,7 @@ class Figures(NamedTuple):
     replans_refused: int
     replan_median_ms: float | None
     replan_p99_ms: float | None
-
-    def broken(self, rules: Rules) -> tuple[str, ...]:
-        """Return the names of the rules that the commanded motion broke."""
-        limits, peaks = rules.limits, self.peaks
-        kept = {
-            "speed": peaks.speed_m_s <= limits.speed_m_s,
-            "acceleration": peaks.acceleration_m_s2 <= limits.acceleration_m_s2,
-            "jerk": peaks.jerk_m_s3 <= limits.jerk_m_s3,
-            "climb": peaks.climb_m_s <= limits.climb_m_s,
-            "descent": peaks.descent_m_s <= limits.descent_m_s,
-            "separation": self.separation_m >= rules.separation_m,
-            "fence": self.outside_m <= 0.0,
-        }
-        return tuple(name for name, holds in kept.items() if not holds)
+    broken: tuple[str, ...]  # names of the rules that the commanded motion broke
 
 
 @dataclass(frozen=True)
@@ -123,24 +110,29 @@ class Rehearsal:
         """Return what it amounts to."""
         rules, settled = self.swarm.rules, self.settled
         error, rims = self.error_m, self.position_m[:, : len(self.swarm.formation.leaders_m)]
+        caught = self.time_s >= (np.inf if self.caught_s is None else self.caught_s)
         held = flux_metric(rims, self.truth_m) >= HOLDING
         took_ms = [1e3 * replan.took_s for replan in self.replans]
         taken = sum(replan.taken for replan in self.replans)
+        separation_m = closest_approach(self.position_m, self.time_s).distance_m
+        outside_m = float(rules.fence.excess_m(self.position_m).max())
+        peaks = self._peaks()
         return Figures(
             caught_s=self.caught_s,
             error_rms_m=float(np.sqrt((error[settled] ** 2).mean())) if settled.any() else None,
             error_p95_m=float(np.percentile(error[settled], 95.0)) if settled.any() else None,
-            flux_metric_share=float(held[settled].mean()) if settled.any() else None,
+            flux_metric_share=float(held[caught].mean()) if caught.any() else None,
             coverage_min_after_facing=self._coverage_on_the_way(rims),
             found_again_s=self._found_again_s(error),
-            separation_m=closest_approach(self.position_m, self.time_s).distance_m,
-            outside_m=float(rules.fence.excess_m(self.position_m).max()),
-            peaks=self._peaks(),
+            separation_m=separation_m,
+            outside_m=outside_m,
+            peaks=peaks,
             **self._steps(),
             replans_taken=taken,
             replans_refused=len(self.replans) - taken,
             replan_median_ms=float(np.median(took_ms)) if took_ms else None,
             replan_p99_ms=float(np.percentile(took_ms, 99.0)) if took_ms else None,
+            broken=_broken(rules, peaks, separation_m, outside_m),
         )
 
     def _coverage_on_the_way(self, rims: Array) -> float | None:
@@ -205,7 +197,7 @@ def rehearse(
         stopwatch: returns seconds, for the durations of replanning alone.
     """
     tracker = Tracker(swarm, tracking, start, 0.0)
-    time_s = TICK_S * np.arange(round(seconds / TICK_S))
+    time_s: Array = TICK_S * np.arange(float(round(seconds / TICK_S)))
     arrivals = _arrivals(motions, sensors)
     due = next(arrivals)
     planned_s = 0.0
@@ -252,6 +244,20 @@ def rehearse(
         replans=tuple(replans),
         caught_s=tracker.caught_s,
     )
+
+
+def _broken(rules: Rules, peaks: Peaks, separation_m: float, outside_m: float) -> tuple[str, ...]:
+    limits = rules.limits
+    kept = {
+        "speed": peaks.speed_m_s <= limits.speed_m_s,
+        "acceleration": peaks.acceleration_m_s2 <= limits.acceleration_m_s2,
+        "jerk": peaks.jerk_m_s3 <= limits.jerk_m_s3,
+        "climb": peaks.climb_m_s <= limits.climb_m_s,
+        "descent": peaks.descent_m_s <= limits.descent_m_s,
+        "separation": separation_m >= rules.separation_m,
+        "fence": outside_m <= 0.0,
+    }
+    return tuple(name for name, holds in kept.items() if not holds)
 
 
 def _arrivals(motions: Mapping[str, TrueMotion], sensors: Sequence[Sensor]) -> Iterator[Look]:

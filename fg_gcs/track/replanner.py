@@ -26,35 +26,42 @@ from fg_gcs.track.frames import State
 from fg_gcs.track.ride import Ride, prove
 
 Array = NDArray[np.float64]
+Shares = tuple[float, float, float]
 
-JERK_M_S3 = 12.0  # where the mission states none: full acceleration within a quarter of a second, as autopilots do
-NEAR_S = 2.5  # a target that is met within this time is followed, one that is not is approached
+JERK_M_S3 = 12.0  # where the mission states none: from rest to 5 m/s^2 within half a second
 FACING = 0.9  # cosine between normal and target below which the face turns first and moves then
-BESIDE_RADII = 1.5  # this near the face's centre no direction to the target counts
+BESIDE_RADII = 4.0  # nearer than this many radii there is no time to turn first
 FASTEST = 0.9  # share of the vehicles' speed that a target may have to be followed at its own
 HORIZON_S = 8.0  # nobody knows where a target will be later than this
-ROUNDS = 8  # for the time of meeting, each aimed at where the target will be at the one before
-MET_S = 0.02  # later than this is too late to meet
-LATER = 1.03  # how much more time than it took to give it the next time
+FIRST_S = 0.9  # time in which a target is met at best: where the search for the time of meeting starts
+ROUNDS = 16  # of that search, each aimed at where the target will be at the time before
+MET_S = 0.02  # change of the time of meeting that counts as none
 SAME_SCALE = 0.02  # a change of the size by less is not worth moving for
+TURN_S = 0.9  # least time for a turn on the way: attitudes wanted differ a little from look to look
+
+# Times to join a target in, quick ones first: below 0.8 s accelerations mirror the noise of the sightings
+SMOOTH_S = (0.8, 0.9, 1.0, 1.15, 1.3, 1.6, 2.0, 2.6)
+RUN_ON_S = 1.0  # how long to go on at the target's velocity after a join, before braking
 
 
-class Try(NamedTuple):
-    """How hard to try; shares of the limits, which the outermost vehicle shares between move and turn."""
+class Effort(NamedTuple):
+    """How hard to try; shares of the limits, which at the outermost vehicle add up for move and turn."""
 
     move: float
     turn: float
-    least_s: float  # for the centre to meet the target; longer is smoother
-    run_on_s: float  # how long to go on at the target's velocity before braking
+    run_on_s: float = 0.0  # how long to go on at the target's velocity before braking
 
 
-TRIES = (Try(0.8, 0.2, 0.9, 1.0), Try(0.65, 0.25, 0.9, 0.5), Try(0.5, 0.2, 0.9, 0.2), Try(0.3, 0.1, 0.9, 0.0))
-FAR_RADII = 4.0  # beyond this many radii a move has a direction: it gets most of the limits, and across it less is left
-ALONG, ACROSS = (1.0, 0.4, 0.4), (1.0, 1.0, 1.0)  # shares of the three axes' speeds, far and near
-PUSH = 0.75  # share of
-ON_THE_SPOT = (Try(0.9, 0.6, 0.0, 0.0), Try(0.7, 0.3, 0.0, 0.0), Try(0.4, 0.15, 0.0, 0.0))
-SMOOTH_S = (1.0, 1.5, 2.2, 3.2)
+EFFORTS = (Effort(0.85, 0.15, 1.0), Effort(0.7, 0.2, 0.5), Effort(0.5, 0.2, 0.2), Effort(0.3, 0.1, 0.0))
+ON_THE_SPOT = (Effort(0.9, 0.6), Effort(0.7, 0.3), Effort(0.4, 0.15))
+JOINED = Effort(0.8, 0.15, RUN_ON_S)  # what follows a smooth join
 GROWTH = 0.15  # share of the limits that growing may take at the outermost vehicle
+
+FAR_RADII = 1.5  # beyond this many radii the way to the target has a direction
+GAP_M_S = 2.0  # nearer, a change of velocity above this has one
+ALONG = ((1.0, 0.5, 0.5), (0.9, 0.5, 0.5))  # shares of three axes in speed and in acceleration, where one leads
+ACROSS = ((1.0, 1.0, 1.0), (0.65, 0.65, 0.65))  # and where none does: all three may brake at once
+GENTLY, SPARE = 0.22, 1.3  # share of the limits for braking on a long way, and how much more than needed
 
 
 class Goal(NamedTuple):
@@ -78,6 +85,13 @@ class Goal(NamedTuple):
         velocity = self.velocity_m_s + tau * (1.0 - left) * a
         position = self.position_enu_m + passed * self.velocity_m_s + tau * (passed - tau * (1.0 - left)) * a
         return np.stack((position, velocity, left * a))
+
+    def slowed(self, speed_m_s: float) -> Goal:
+        """Return the same target, believed to be no faster than that [m/s]."""
+        speed = float(np.linalg.norm(self.velocity_m_s))
+        if speed <= speed_m_s:
+            return self
+        return self._replace(velocity_m_s=speed_m_s / speed * self.velocity_m_s, acceleration_m_s2=np.zeros(3))
 
 
 class Mode(Enum):
@@ -130,17 +144,21 @@ class Replanner:
         return float(np.linalg.norm(goal.velocity_m_s)) > FASTEST * self._swarm.rules.limits.speed_m_s
 
     def look(self, goal: Goal, now_s: float) -> Replan:
-        """Take the best new ride from ``now_s`` on, if there is one."""
+        """Take the best new ride from ``now_s`` on, if there is one.
+
+        A target that is faster than the formation may be is chased: aimed at as if it were just as fast.
+        """
+        goal = goal.slowed(FASTEST * self._swarm.rules.limits.speed_m_s)
         state = self.ride.state(now_s)
         attitude = self._guided(state, goal.at(now_s)[0])
         if self.mode is not Mode.FOLLOW and not self._facing(state, goal.at(now_s)[0]):
             ride = self._stopped(state, attitude, goal.scale, now_s)
             return self._taken(ride, Mode.TURN)
-        for least_s in SMOOTH_S:
-            ride = self._joined(state, attitude, goal, now_s, least_s)
+        for takes_s in SMOOTH_S:
+            ride = self._joined(state, attitude, goal, now_s, takes_s)
             if ride is not None and self._holds(ride):
                 return self._taken(ride, Mode.FOLLOW)
-        for effort in TRIES:
+        for effort in EFFORTS:
             ride = self._met(state, attitude, goal, now_s, effort)
             if ride is not None and self._holds(ride):
                 return self._taken(ride, Mode.APPROACH)
@@ -183,7 +201,7 @@ class Replanner:
         axes = _axes(state.joints[1, :3])
         for effort in ON_THE_SPOT:
             moving = Joints(now_s, state.joints[:, :3] @ axes)
-            turning = self._turning(state, attitude, scale, now_s, effort)
+            turning = self._turning(state, attitude, scale, now_s, effort.turn, 0.0)
             if turning is not None and moving.to_velocity(np.zeros(3), self._bounds(axes, effort.move, ALONG)):
                 ride = Ride(state.attitude, moving, turning, axes)
                 if self._holds(ride):
@@ -192,75 +210,102 @@ class Replanner:
 
     def _joined(self, state: State, attitude: Array, goal: Goal, now_s: float, takes_s: float) -> Ride | None:
         """Return a ride that joins the target smoothly in a given time, goes on with it for a while and brakes."""
-        hold_m = self._swarm.hold_depth_m * attitude[:, 0]
+        met = self._within(goal.at(now_s + takes_s), self._swarm.hold_depth_m * attitude[:, 0], goal.scale)
+        if np.linalg.norm(met[0] - state.joints[0, :3]) > takes_s * self._swarm.rules.limits.speed_m_s:
+            return None  # too far for anybody
         axes = np.eye(3)
-        bounds = self._bounds(axes, 0.8, ACROSS)
+        bounds = self._bounds(axes, JOINED.move, ACROSS)
         moving = Joints(now_s, state.joints[:, :3])
-        turning = self._turning(state, attitude, goal.scale, now_s, TRIES[0])
-        moving.smoothly(self._within(goal.at(now_s + takes_s), hold_m, goal.scale), takes_s)
+        turning = self._turning(state, attitude, goal.scale, now_s, JOINED.turn, TURN_S)
+        moving.smoothly(met, takes_s)
         if turning is None or not moving.to_velocity(moving.end[1], bounds):
             return None
-        moving.straight_on(now_s + takes_s + 1.0)
+        moving.straight_on(now_s + takes_s + JOINED.run_on_s)
         if not moving.to_velocity(np.zeros(3), bounds):
             return None
         return Ride(state.attitude, moving, turning, axes)
 
-    def _met(self, state: State, attitude: Array, goal: Goal, now_s: float, effort: Try) -> Ride | None:
+    def _met(self, state: State, attitude: Array, goal: Goal, now_s: float, effort: Effort) -> Ride | None:
         """Return a ride that meets the target, goes on with it for a while and brakes."""
         hold_m = self._swarm.hold_depth_m * attitude[:, 0]
-        way = goal.at(now_s)[0] + hold_m - state.joints[0, :3]
-        far = float(np.linalg.norm(way)) > FAR_RADII * self._reach_m * goal.scale
-        axes = _axes(way) if far else np.eye(3)
-        bounds = self._bounds(axes, effort.move, ALONG if far else ACROSS)
-        turning = self._turning(state, attitude, goal.scale, now_s, effort)
+        axes, shares, gently = self._directions(state, goal, hold_m, now_s)
+        bounds = self._bounds(axes, effort.move, shares)
+        bounds.lowest_acceleration[0] *= gently
+        turning = self._turning(state, attitude, goal.scale, now_s, effort.turn, TURN_S)
         if turning is None:
             return None
-        meets_s = now_s + effort.least_s
+        given_s = FIRST_S
         for _ in range(ROUNDS):
-            met = self._within(goal.at(min(meets_s, now_s + HORIZON_S)), hold_m, goal.scale) @ axes
-            met[1] = np.clip(met[1], bounds.lowest_velocity, bounds.highest_velocity)
-            met[2] = np.clip(met[2], -0.5 * bounds.acceleration, 0.5 * bounds.acceleration)
+            met = self._within(goal.at(now_s + min(given_s, HORIZON_S)), hold_m, goal.scale) @ axes
+            met[2] = np.clip(met[2], 0.5 * bounds.lowest_acceleration, 0.5 * bounds.highest_acceleration)
             moving = Joints(now_s, state.joints[:, :3] @ axes)
-            if not moving.to(met, bounds, meets_s - now_s):
+            if not moving.to(met, bounds.reaching(met)):
                 return None
-            if moving.end_s < meets_s + MET_S:  # in time, and so at that time
+            late_s = moving.end_s - now_s - given_s
+            if abs(late_s) < MET_S:
                 break
-            meets_s = now_s + LATER * (moving.end_s - now_s)
+            given_s += late_s
+        meets_s = moving.end_s
         # The target's acceleration fades, it is not followed for ever
-        if not moving.to_velocity(moving.end[1], bounds):
+        if not moving.to_velocity(moving.end[1], bounds.reaching(moving.end)):
             return None
-        moving.straight_on(max(moving.end_s, meets_s + effort.run_on_s))
+        moving.straight_on(meets_s + effort.run_on_s)
         if not moving.to_velocity(np.zeros(3), bounds):
             return None
         return Ride(state.attitude, moving, turning, axes)
 
-    def _turning(self, state: State, attitude: Array, scale: float, now_s: float, effort: Try) -> Joints | None:
-        """Return the joints that take up attitude and scale as fast as they may."""
+    def _directions(
+        self, state: State, goal: Goal, hold_m: Array, now_s: float
+    ) -> tuple[Array, tuple[Shares, Shares], float]:
+        """Return axes for a move, their shares, and the share of the first one's for braking.
+
+        A long way has a direction; braking on it is planned gently, so that something is left when the target does not
+        do as predicted. A large change of velocity has one, too.
+        """
+        target = goal.at(now_s)
+        way, change = target[0] + hold_m - state.joints[0, :3], target[1] - state.joints[1, :3]
+        distance_m, gap_m_s = float(np.linalg.norm(way)), float(np.linalg.norm(change))
+        hardest = ALONG[1][0] * self._swarm.rules.limits.acceleration_m_s2
+        if distance_m > FAR_RADII * self._reach_m * goal.scale:
+            axes = _axes(way)
+            closing_m_s = max(float(-change @ axes[:, 0]), 0.0)
+            needed = closing_m_s**2 / (2.0 * distance_m)
+            return axes, ALONG, min(max(GENTLY, needed / hardest * SPARE), 1.0)
+        if gap_m_s > GAP_M_S:
+            return _axes(change), ALONG, 1.0
+        return np.eye(3), ACROSS, 1.0
+
+    def _turning(
+        self, state: State, attitude: Array, scale: float, now_s: float, share: float, least_s: float
+    ) -> Joints | None:
+        """Return the joints that take up attitude and scale as fast as their share of the limits allows."""
         arm_m = max(self._reach_m * max(float(state.joints[0, 6]), scale), 0.1)  # a swarm on one spot may spin
         limits = self._swarm.rules.limits
-        per_joint = np.array([effort.turn / arm_m] * 3 + [GROWTH / self._reach_m])
+        per_joint = np.array([share / arm_m] * 3 + [GROWTH / self._reach_m])
         speed, jerk = limits.speed_m_s * per_joint, self._jerk_m_s3 * per_joint
         turning = Joints(now_s, state.joints[:, 3:])
         goal = np.zeros((3, 4))
         goal[0, :3] = Rotation.from_matrix(attitude @ state.attitude.T).as_rotvec()
         goal[0, 3] = scale
-        bounds = Bounds(-speed, speed, limits.acceleration_m_s2 * per_joint, jerk)
-        return turning if turning.to(goal, bounds, effort.least_s) else None
+        push = limits.acceleration_m_s2 * per_joint
+        bounds = Bounds(-speed, speed, -push, push, jerk)
+        return turning if turning.to(goal, bounds, least_s) else None
 
-    def _bounds(self, axes: Array, share: float, per_axis: tuple[float, float, float]) -> Bounds:
+    def _bounds(self, axes: Array, share: float, per_axis: tuple[Shares, Shares]) -> Bounds:
         """Bounds of the centre along its axes, the first the main one; the proof has the last word.
 
         An axis that leads up or down is no faster than climb or descent allow.
         """
         limits = self._swarm.rules.limits
-        shares = share * np.array(per_axis)
+        shares, pushes = share * np.array(per_axis)
         rise = np.maximum(np.abs(axes[2]), 1e-9)
         up, down = (share * limit / rise for limit in (limits.climb_m_s, limits.descent_m_s))
         upwards = axes[2] > 0.0
         speed = limits.speed_m_s * shares
         highest = np.minimum(speed, np.where(upwards, up, down))
         lowest = -np.minimum(speed, np.where(upwards, down, up))
-        return Bounds(lowest, highest, PUSH * limits.acceleration_m_s2 * shares, self._jerk_m_s3 * shares)
+        push = limits.acceleration_m_s2 * pushes
+        return Bounds(lowest, highest, -push, push, self._jerk_m_s3 * pushes)
 
     def _within(self, states: Array, hold_m: Array, scale: float) -> Array:
         """Return the centre's states for a target's, (3, 3), so that the formation fits into the fence."""

@@ -20,7 +20,8 @@ from fg_gcs.track.frames import JOINTS, Frames, State, frames_of, state_of
 Array = NDArray[np.float64]
 
 PROOF_S = 0.04  # between instants of the proof, besides those where jerks change: speeds bend by centimetres a second
-RESERVE = 1.002  # what lies between the instants of the proof may exceed them by
+RESERVE = 1.008  # what lies between the instants of the proof may exceed them by
+ROUNDING = 1e-9  # of scales that are computed; the separation itself is a round number
 
 
 class Ride:
@@ -85,7 +86,7 @@ class Proof(NamedTuple):
             and peaks.climb_m_s <= limits.climb_m_s
             and peaks.descent_m_s <= limits.descent_m_s
             and self.outside_m <= 0.0
-            and self.scale * smallest_m >= rules.separation_m
+            and self.scale * smallest_m >= rules.separation_m * (1.0 - ROUNDING)
         )
 
 

@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 def bounds(count: int = 3, speed: float = 3.0, acceleration: float = 2.0, jerk: float = 10.0) -> Bounds:
-    return Bounds(*(np.full(count, value) for value in (-speed, speed, acceleration, jerk)))
+    return Bounds(*(np.full(count, value) for value in (-speed, speed, -acceleration, acceleration, jerk)))
 
 
 def chained(seed: int) -> Joints:

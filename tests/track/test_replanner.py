@@ -1,0 +1,185 @@
+"""The inner loop's laws: rides follow on each other smoothly, keep every limit, and end at rest by themselves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
+
+from fg_gcs.core.coverage import FACING, coverage
+from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
+from fg_gcs.core.separation import Fence
+from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.track.replanner import Goal, Mode, Replanner, Swarm
+from fg_gcs.track.ride import Ride, prove
+
+Array = NDArray[np.float64]
+
+NINE = hemisphere(4, 5, 6.0)
+RULES = Rules(Limits(10.0, 5.0), 1.5, Fence((-150.0, -150.0, 2.0), (150.0, 150.0, 80.0)))
+START = Pose(np.array([0.0, 0.0, 20.0]), facing(np.array([1.0, 0.2, 0.0])))
+DEPTH_M = 1.0
+
+
+def replanner(formation: Formation = NINE, rules: Rules = RULES, start: Pose = START) -> Replanner:
+    return Replanner(Swarm(formation, formation.slots_m, DEPTH_M, rules), start, 0.0)
+
+
+def wandering(seed: int, time_s: float) -> Goal:
+    """A target that moves and jumps a little from look to look, as estimates do."""
+    draw = np.random.default_rng((seed, round(1000 * time_s)))
+    place = np.array([40.0 * np.cos(0.1 * time_s), 40.0 * np.sin(0.1 * time_s), 20.0 + 3.0 * np.sin(0.3 * time_s)])
+    velocity = np.array([-4.0 * np.sin(0.1 * time_s), 4.0 * np.cos(0.1 * time_s), 0.9 * np.cos(0.3 * time_s)])
+    noise = draw.normal(size=(3, 3)) * np.array([[0.2], [0.3], [0.1]])
+    return Goal(time_s, place + noise[0], velocity + noise[1], noise[2], 1.0 + 0.3 * (seed % 3), 4.0)
+
+
+def flown(ride: Ride, time_s: Array, formation: Formation = NINE) -> tuple[Array, Array, Array]:
+    return ride.frames(time_s).swarm(formation.slots_m)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_whatever_the_target_does_every_ride_continues_the_last_one_and_keeps_all_limits(seed: int) -> None:
+    made = replanner()
+    draw = np.random.default_rng(seed)
+    now_s = 0.0
+    while now_s < 25.0:
+        before = made.ride
+        replan = made.look(wandering(seed, now_s), now_s)
+        for one, other in zip(flown(before, np.array([now_s])), flown(replan.ride, np.array([now_s])), strict=True):
+            assert one == pytest.approx(other, abs=1e-6)
+        step_s = float(draw.choice([0.05, 0.1, 0.1, 0.4, 2.0]))
+        position, velocity, acceleration = flown(replan.ride, np.arange(now_s, now_s + step_s, 0.002))
+        assert np.linalg.norm(velocity, axis=2).max() <= 10.0
+        assert np.linalg.norm(acceleration, axis=2).max() <= 5.0
+        assert min(float(pdist(places).min()) for places in position[::10]) >= 1.5
+        assert RULES.fence.excess_m(position).max() <= 0.0
+        now_s += step_s
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ride_that_nothing_follows_is_flown_to_rest_within_all_limits(seed: int) -> None:
+    made = replanner()
+    for step in range(60 + 37 * seed):
+        made.look(wandering(seed, 0.1 * step), 0.1 * step)
+    ride = made.ride
+    position, velocity, acceleration = flown(ride, np.arange(ride.start_s, ride.end_s + 1.0, 0.002))
+    assert np.linalg.norm(velocity, axis=2).max() <= 10.0
+    assert np.linalg.norm(acceleration, axis=2).max() <= 5.0
+    assert RULES.fence.excess_m(position).max() <= 0.0
+    assert np.abs(velocity[-400:]).max() < 1e-6
+    assert np.linalg.norm(np.diff(acceleration, axis=0), axis=2).max() < 0.2  # nowhere a step: continuous to the end
+
+
+def test_a_target_at_rest_is_reached_faced_all_the_way_and_held_with_the_target_on_the_axis() -> None:
+    target = np.array([50.0, 30.0, 25.0])
+    made = replanner()
+    rims = []
+    for step in range(200):
+        made.look(Goal(0.1 * step, target, np.zeros(3), np.zeros(3), 1.0, 4.0), 0.1 * step)
+        rims.append(flown(made.ride, np.array([0.1 * step]))[0][0, :4])
+    covered = coverage(np.array(rims), target)
+    assert covered[int(np.argmax(covered >= FACING)) :].min() >= 0.95
+    state = made.ride.state(20.0)
+    assert made.mode is Mode.FOLLOW
+    assert state.joints[0, :3] - DEPTH_M * state.attitude[:, 0] == pytest.approx(target, abs=0.01)
+    assert np.abs(state.joints[1:]).max() < 0.01
+
+
+def test_a_face_that_looks_away_turns_before_it_moves() -> None:
+    made = replanner()
+    goal = Goal(0.0, np.array([-60.0, 10.0, 20.0]), np.zeros(3), np.zeros(3), 1.0, 4.0)
+    assert made.look(goal, 0.0).mode is Mode.TURN
+    middle = made.ride.state(0.5 * made.ride.end_s)
+    assert middle.joints[0, :3] == pytest.approx(START.centre_enu_m, abs=1e-9)
+    end = made.ride.state(made.ride.end_s)
+    assert end.attitude[:, 0] @ (goal.position_enu_m - START.centre_enu_m) > 0.99 * 60.0
+
+
+def test_a_target_that_is_too_fast_is_chased_without_breaking_a_limit() -> None:
+    made = replanner()
+    for step in range(120):
+        now_s = 0.1 * step
+        goal = Goal(
+            now_s, np.array([30.0 + 14.0 * now_s - 80.0, 40.0, 20.0]), np.array([14.0, 0, 0]), np.zeros(3), 1.0, 4.0
+        )
+        assert made.chases(goal)
+        made.look(goal, now_s)
+        _, velocity, acceleration = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.005))
+        assert np.linalg.norm(velocity, axis=2).max() <= 10.0
+        assert np.linalg.norm(acceleration, axis=2).max() <= 5.0
+    assert float(np.linalg.norm(flown(made.ride, np.array([12.0]))[1][0].mean(axis=0))) > 5.0  # it does chase
+
+
+def test_a_target_outside_the_fence_is_followed_along_the_inside() -> None:
+    tight = replace(RULES, fence=Fence((-20.0, -20.0, 2.0), (20.0, 20.0, 40.0)))
+    made = replanner(rules=tight)
+    for step in range(150):
+        now_s = 0.1 * step
+        made.look(
+            Goal(now_s, np.array([60.0, 2.0 * now_s, 20.0]), np.array([0.0, 2.0, 0.0]), np.zeros(3), 1.0, 4.0), now_s
+        )
+        position = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.02))[0]
+        assert tight.fence.excess_m(position).max() <= 0.0
+    assert position[-1, :, 0].max() > 10.0  # as near as it may come
+
+
+def test_climb_descent_and_jerk_have_limits_of_their_own() -> None:
+    limits = Limits(10.0, 5.0, climb_m_s=2.0, descent_m_s=1.0, jerk_m_s3=8.0)
+    made = replanner(rules=replace(RULES, limits=limits))
+    for step in range(200):
+        now_s = 0.1 * step
+        height = 50.0 if now_s < 10.0 else 10.0
+        made.look(Goal(now_s, np.array([30.0, 5.0, height]), np.zeros(3), np.zeros(3), 1.0, 4.0), now_s)
+        _, velocity, acceleration = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.002))
+        assert velocity[:, :, 2].max() <= 2.0
+        assert velocity[:, :, 2].min() >= -1.0
+        assert np.linalg.norm(np.diff(acceleration, axis=0), axis=2).max() / 0.002 <= 8.0
+
+
+def test_stopping_comes_to_rest_soon_and_waiting_grows_in_place() -> None:
+    made = replanner()
+    for step in range(60):
+        made.look(wandering(0, 0.1 * step), 0.1 * step)
+    assert np.linalg.norm(made.ride.state(6.0).joints[1, :3]) > 3.0
+    assert made.stop(6.0).taken
+    assert made.ride.end_s < 6.0 + 6.0
+    rest = made.ride.state(made.ride.end_s)
+    assert not made.wait(1.5, made.ride.end_s - 0.1).taken  # not before it rests
+    grown = made.wait(1.5, made.ride.end_s)
+    assert grown.taken
+    assert grown.mode is Mode.WAIT
+    assert grown.ride.state(grown.ride.end_s).joints[0] == pytest.approx([*rest.joints[0, :3], 0, 0, 0, 1.5], abs=1e-6)
+    assert not made.wait(1.5, grown.ride.end_s).taken  # in place already
+
+
+def test_a_formation_that_must_not_shrink_below_the_minimum_does_not() -> None:
+    made = replanner(rules=replace(RULES, separation_m=0.999 * NINE.smallest_separation_m))
+    goal = Goal(0.0, np.array([30.0, 0.0, 20.0]), np.zeros(3), np.zeros(3), 0.5, 4.0)
+    assert not made.look(goal, 0.0).taken
+    assert made.look(goal._replace(scale=1.0), 0.1).taken
+
+
+def test_the_same_looks_give_the_same_rides() -> None:
+    rides = []
+    for _ in range(2):
+        made = replanner(start=Pose(np.zeros(3) + 30.0, Rotation.from_euler("z", 2.0).as_matrix()))
+        for step in range(50):
+            made.look(wandering(1, 0.1 * step), 0.1 * step)
+        rides.append(flown(made.ride, np.linspace(4.9, 12.0, 50))[0])
+    assert np.array_equal(rides[0], rides[1])
+
+
+def test_the_proof_sees_what_a_dense_sample_sees() -> None:
+    made = replanner()
+    for step in range(80):
+        made.look(wandering(2, 0.1 * step), 0.1 * step)
+        if step % 10 == 0:
+            proof = prove(made.ride, NINE.slots_m, RULES)
+            _, velocity, acceleration = flown(made.ride, np.arange(made.ride.start_s, made.ride.end_s, 0.001))
+            assert np.linalg.norm(velocity, axis=2).max() <= proof.peaks.speed_m_s
+            assert np.linalg.norm(acceleration, axis=2).max() <= proof.peaks.acceleration_m_s2
