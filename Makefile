@@ -10,13 +10,13 @@ FLAGS  := --disable-pip-version-check -c constraints.txt
 .PHONY: help demo test format clean
 
 help:
-	@echo "make demo    install what is needed, then fly nine simulated vehicles around a target"
+	@echo "make demo    install what is needed, then fly nine simulated vehicles around a moving target"
 	@echo "make test    install what is needed, then check format, lint and types and run all tests"
 	@echo "make format  rewrite the sources in the project's format"
 	@echo "make clean   remove the virtual environment and all caches"
 
 demo: $(VENV)/.runtime
-	@$(BIN)/fg-gcs fly missions/demo.toml
+	@$(BIN)/fg-gcs fly missions/circle.toml
 
 test: $(VENV)/.dev
 	@echo "== format";  $(BIN)/ruff format --check .
@@ -41,6 +41,8 @@ $(VENV)/.runtime: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@$(BIN)/python -m pip install $(FLAGS) -e .
 	@echo "Compiling the planner (once, about half a minute) ..."
 	@$(BIN)/python -c 'from fg_gcs.plan.compiled import build; build()'
+	@$(BIN)/python -c 'from pathlib import Path; from fg_gcs.flight.tracking import warm_up; \
+		from fg_gcs.mission import load_mission; warm_up(load_mission(Path("missions/circle.toml")))'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.runtime

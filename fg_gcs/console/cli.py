@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
-EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "formulations", "figures", "all")
+EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "formulations", "moving", "figures", "all")
 DONE, ABORTED, BAD_INPUT, NOBODY_ANSWERED, INTERNAL_ERROR = range(5)
 
 EPILOG = """\
@@ -22,6 +22,7 @@ examples:
   fg-gcs sim --vehicles 9 --autopilot ardupilot      only the simulator, for any ground station
   fg-gcs experiment all                              the paper's tables and figures anew, into docs/
   fg-gcs bench plan --json                           the planner against the paper's way
+  fg-gcs bench track --flights 20                    moving targets and what is required; 20 random flights besides
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
 exit codes: 0 done, 1 the flight was aborted safely, 2 bad input, 3 nobody answered, 4 internal error
@@ -95,13 +96,29 @@ def parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("docs"), metavar="DIR", help="where tables and figures go (default: docs)"
     )
 
-    bench = commands.add_parser("bench", help="measure", description="Measure, as ratios side by side in one run.")
-    bench.add_argument("what", choices=("plan",), help="plan: the planner against the paper's way")
-    bench.add_argument("--json", action="store_true", help="print one JSON object, the last line of stdout")
+    _add_bench(commands)
 
     report = commands.add_parser("report", help="write a run's report again", description="Write a report again.")
     report.add_argument("log", type=Path, metavar="LOG", help="folder of a recorded run")
     return top
+
+
+def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    bench = commands.add_parser("bench", help="measure", description="Measure: a table for people, JSON for programs.")
+    whats = bench.add_subparsers(dest="what", metavar="WHAT", required=True)
+    plan = whats.add_parser("plan", help="the planner against the paper's way, as ratios side by side in one run")
+    track = whats.add_parser("track", help="whole flights after moving targets beside what is required of them")
+    for each in (plan, track):
+        each.add_argument("--json", action="store_true", help="print one JSON object, the last line of stdout")
+    track.add_argument(
+        "--flights", type=_count, default=0, metavar="N", help="fly N random missions besides (default: none)"
+    )
+    track.add_argument(
+        "--seed", type=_count, default=0, metavar="S", help="of the first of them; the next has S + 1 (default: 0)"
+    )
+    track.add_argument(
+        "--missions", type=Path, default=Path("missions"), metavar="DIR", help="mission files (default: %(default)s)"
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -154,6 +171,10 @@ def _run(chosen: argparse.Namespace) -> int:
             from fg_gcs.console.experiment import experiment
 
             return experiment(chosen.name, chosen.out)
+        case "bench" if chosen.what == "track":
+            from fg_gcs.console.track_bench import Size, bench_track
+
+            return bench_track(chosen.missions, Size(chosen.flights, chosen.seed), as_json=chosen.json)
         case "bench":
             from fg_gcs.console.experiment import bench
 
@@ -172,6 +193,13 @@ def _positive(text: str) -> float:
     value = float(text)
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text}: not a positive number")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: a negative number")
     return value
 
 

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table as Drawn
 
 from fg_gcs.errors import MissionError
@@ -24,7 +25,7 @@ def experiment(name: str, out: Path) -> int:
         MissionError: the folder cannot be written.
         PlanError: a scene has no plan.
     """
-    available = experiments(time.perf_counter, _progress, out)
+    available = experiments(time.perf_counter, tell, out)
     chosen = available if name == "all" else {name: available[name]}
     results = []
     try:
@@ -49,7 +50,7 @@ def bench(*, as_json: bool) -> int:
     Raises:
         PlanError: a scene has no plan.
     """
-    figures = bench_plan(time.perf_counter, _progress)
+    figures = bench_plan(time.perf_counter, tell)
     print(_words(figures), file=sys.stderr)
     if as_json:
         print(json.dumps(asdict(figures)), flush=True)
@@ -58,13 +59,15 @@ def bench(*, as_json: bool) -> int:
 
 def show(table: Table) -> None:
     """Draw a table for people on standard error."""
-    drawn = Drawn(*(column.title for column in table.columns), title=table.title, title_justify="left")
+    titles = (escape(column.title) for column in table.columns)  # units in brackets are no markup
+    drawn = Drawn(*titles, title=table.title, title_justify="left")
     for row in table.written():
-        drawn.add_row(*(cell or NOTHING for cell in row))
+        drawn.add_row(*(escape(cell) or NOTHING for cell in row))
     Console(stderr=True, highlight=False).print(drawn)
 
 
-def _progress(line: str) -> None:
+def tell(line: str) -> None:
+    """Tell people on standard error what is being done."""
     print(line, file=sys.stderr, flush=True)
 
 

@@ -14,18 +14,29 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 from fg_gcs.console.plan import load_planner, plan_keys
 from fg_gcs.console.progress import Progress
-from fg_gcs.console.simulator import free_port, simulator_in_loop, simulator_process
+from fg_gcs.console.simulator import (
+    free_port,
+    simulator_in_loop,
+    simulator_process,
+    targets_in_loop,
+    targets_process,
+)
 from fg_gcs.errors import FgError, LinkError, MissionError
 from fg_gcs.flight.director import Director, Result, Setup
+from fg_gcs.flight.tracking import warm_up
 from fg_gcs.link.clock import make_loop
 from fg_gcs.link.endpoint import parse_endpoint
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.record.evaluation import evaluate
+from fg_gcs.record.evaluation import evaluate, evaluate_pursuit
+from fg_gcs.record.moving import KEYS, Pursued
 from fg_gcs.record.recorder import REPORT, Recorder, make_folder, plain
 from fg_gcs.record.report import write_report
 
+VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time nobody else is there
 VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed one keeps a run's files the same
 
 
@@ -64,6 +75,8 @@ def fly(path: Path, options: Options) -> int:
     except OSError as error:
         raise MissionError(f"--logs {options.logs}: {error.strerror or error}") from error
     load_planner({mission.plan.formulation})
+    if mission.targets is not None:
+        warm_up(mission)
     gc.collect()
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     with asyncio.Runner(loop_factory=lambda: make_loop(options.speed)) as runner:
@@ -86,7 +99,7 @@ async def _fly(path: Path, text: str, mission: Mission, options: Options, folder
         recorder.listener = progress.event
         endpoints = options.endpoints
         if simulated:
-            port = 14550 if virtual else free_port()  # in virtual time nobody else is there
+            port = VIRTUAL_PORT if virtual else free_port()
             endpoints = (f"udpin:127.0.0.1:{port}",)
             recorder.event(
                 loop.time(), "simulator", f"starting {mission.swarm.vehicles} simulated {autopilot} vehicles"
@@ -94,11 +107,16 @@ async def _fly(path: Path, text: str, mission: Mission, options: Options, folder
             if not virtual:
                 log = folder / "simulator.log"
                 stack.enter_context(simulator_process(mission, autopilot, port, options.speed, log))
-        setup = Setup(endpoints, options.wait_s, simulated, time.perf_counter)
+        targets_port = VIRTUAL_TARGETS_PORT if virtual else free_port()
+        if not virtual:
+            stack.enter_context(targets_process(mission, targets_port, options.speed, folder / "targets.log"))
+        targets_endpoint = f"udpin:127.0.0.1:{targets_port}"
+        setup = Setup(endpoints, options.wait_s, simulated, time.perf_counter, targets_endpoint)
         director = Director(mission, setup, recorder)
         async with AsyncExitStack() as in_loop:
             if simulated and virtual:
                 await in_loop.enter_async_context(simulator_in_loop(mission, autopilot, port))
+                await in_loop.enter_async_context(targets_in_loop(mission, targets_port))
             show = asyncio.create_task(progress.show(director))
             _on_signals(director)
             loop.set_exception_handler(lambda _, context: director.fail(context))
@@ -135,10 +153,8 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
     summary |= {"completed": result.completed, "reason": result.reason, "vehicles_landed": result.vehicles_landed}
     target_enu_m = mission.first_target().centre_enu_m.tolist()
     summary |= evaluate(recorder, result.stages, rim, target_enu_m)
+    summary |= _tracking_keys(mission, result, recorder, rim)
     summary |= {
-        "replans": 0,
-        "replan_p99_ms": None,
-        "sensed_to_setpoint_p99_ms": None,
         "late_ticks": result.late_ticks,
         "lost_vehicles": list(result.lost),
         "bad_bytes": counters.bad_bytes if counters else 0,
@@ -156,3 +172,29 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
     plained = plain(summary)
     assert isinstance(plained, dict)
     return plained
+
+
+def _tracking_keys(mission: Mission, result: Result, recorder: Recorder, rim: list[int]) -> dict[str, object]:
+    """The figures of the tracking; those of a target at rest are 0 or none."""
+    keys: dict[str, object] = {"replans": 0, "replan_median_ms": None, "replan_p99_ms": None}
+    keys |= dict.fromkeys(KEYS) | {"found_again_s": [], "sightings": 0, "sightings_rejected": {}}
+    tracked, task = result.tracked, result.task
+    if tracked is None or task is None:
+        return keys
+    caught_s = None if tracked.caught_s is None else recorder.since_start_s(tracked.caught_s)
+    pursued = Pursued(
+        recorder.since_start_s(tracked.began_s),
+        recorder.since_start_s(tracked.ended_s),
+        caught_s,
+        tuple(target.weight for target in mission.targets or ()),
+        task.formation.leaders_m,
+        task.hold_depth_m,
+        mission.track.capture_m,
+        mission.track.lost_after_s,
+    )
+    keys |= evaluate_pursuit(recorder, result.stages, rim, pursued, task.rules.limits.acceleration_m_s2)
+    if tracked.planning_s:
+        took_ms = [1e3 * took for took in tracked.planning_s]
+        keys |= {"replan_median_ms": np.median(took_ms), "replan_p99_ms": np.percentile(took_ms, 99)}
+    rejected = {verdict.name.lower(): count for verdict, count in tracked.refused.items()}
+    return keys | {"sightings": tracked.sightings, "sightings_rejected": rejected}

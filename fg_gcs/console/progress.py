@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from contextlib import suppress
 from types import TracebackType
 from typing import Self
@@ -15,6 +16,7 @@ from rich.text import Text
 
 from fg_gcs.flight.director import Director
 from fg_gcs.flight.journal import STAGES
+from fg_gcs.flight.tracking import Status
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission import Mission
 from fg_gcs.wire.phases import Phase
@@ -34,6 +36,8 @@ SHOWN = {  # kinds of events for people, with their colours; the rest is for the
     "notice": "yellow",
     "fault": "bold red",
     "abort": "bold red",
+    "track": "cyan",
+    "refused": "yellow",
     "warning": "yellow",
     "error": "bold red",
 }
@@ -100,7 +104,16 @@ class Progress:
         head = Table.grid(padding=(0, 2))
         name = Text(f"{journal.stage} ({number + 1} of {len(STAGES)})", "bold cyan")
         head.add_row(name, ProgressBar(len(STAGES), number + share, width=50), left)
-        return Group(head, _vehicles(director.fleet.vehicles) if director.fleet else Text(""))
+        status = None if director.pursuit is None else director.pursuit.status
+        tracking = Text("") if status is None else Text(_tracking_line(status), "cyan")
+        return Group(head, tracking, _vehicles(director.fleet.vehicles) if director.fleet else Text(""))
+
+
+def _tracking_line(status: Status) -> str:
+    """Say how the tracking goes."""
+    off = f"{status.error_m:.1f} m off" if math.isfinite(status.error_m) else "nothing known of it yet"
+    refused = f", {status.refused} sightings refused" if status.refused else ""
+    return f"{status.mode.value}: {off}, last seen {status.age_s:.1f} s ago{refused}"
 
 
 def _vehicles(vehicles: tuple[Vehicle, ...]) -> Table:
@@ -142,6 +155,19 @@ def _closing_lines(summary: dict[str, object], mission: Mission) -> list[tuple[s
             f"99 % less than {figure('setpoint_late_p99_ms', ' ms', 1)} late",
         ),
     ]
+    if summary["replans"]:
+        rejected = summary["sightings_rejected"]
+        count = sum(rejected.values()) if isinstance(rejected, dict) else 0
+        off = f"{figure('centre_error_rms_m', ' m')} rms, 95 % below {figure('centre_error_p95_m', ' m')}"
+        reaction = figure("sensed_to_setpoint_p99_ms", " ms", 1)
+        lines += [
+            ("caught after", figure("capture_time_s", " s", 1)),
+            ("centre off the target", off),
+            ("target held", f"{figure('flux_metric_share', '', 3)} of the time after that"),
+            ("sightings", f"{summary['sightings']}, {count} of them refused"),
+            ("rides planned", f"{summary['replans']}, 99 % in less than {figure('replan_p99_ms', ' ms', 1)}"),
+            ("sighting to setpoint", f"99 % in less than {reaction}, without the sensor's own delay"),
+        ]
     for key, name in (("bad_bytes", "bytes that were no MAVLink"), ("unknown_messages", "unknown messages")):
         if summary[key]:
             lines.append((name, f"{summary[key]} dropped"))

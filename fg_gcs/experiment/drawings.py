@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
 from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import NDArray
 
@@ -17,6 +19,7 @@ from fg_gcs.experiment.scenes import LEADERS, LIMITS, Scene
 from fg_gcs.plan.least_squares import FREE_SIZE, HELD_SIZE, plan_least_squares
 from fg_gcs.record.charts import FOLLOWER_COLOUR, LEADER_COLOURS, LIMIT_COLOUR
 from fg_gcs.record.scene import FACE_COLOUR, TARGET_COLOUR
+from fg_gcs.track.rehearsal import Rehearsal
 
 Array = ours.Array
 
@@ -107,6 +110,52 @@ def draw_flight(flight: Flight) -> Figure:
     return figure
 
 
+def draw_tracks(rehearsals: Mapping[str, Rehearsal]) -> Figure:
+    """Draw from above where the targets went, what was known of them and where the formation went, a panel each."""
+    figure = Figure(figsize=(11.0, 5.0 * len(rehearsals) / 2.0), layout="constrained")
+    for number, (name, rehearsal) in enumerate(rehearsals.items(), start=1):
+        axes = figure.add_subplot((len(rehearsals) + 1) // 2, 2, number)
+        kept = _spread(len(rehearsal.time_s))
+        for places, colour, width, label in (
+            (rehearsal.estimate_m, FOLLOWER_COLOUR, 0.8, "estimate"),
+            (rehearsal.truth_m, TARGET_COLOUR, 2.4, "target"),
+            (rehearsal.place_m, LEADER_COLOURS[0], 1.2, "formation"),
+        ):
+            axes.plot(*places[kept, :2].T, color=colour, linewidth=width, label=label)
+        axes.plot(*rehearsal.place_m[0, :2], "o", color=LEADER_COLOURS[0], label="start")
+        if rehearsal.caught_s is not None:
+            caught = int(np.searchsorted(rehearsal.time_s, rehearsal.caught_s))
+            axes.plot(*rehearsal.place_m[caught, :2], "D", color=LEADER_COLOURS[2], label="capture")
+        axes.set_aspect("equal", adjustable="datalim")
+        _finish_plane(axes, name, "x, east [m]", "y, north [m]")
+    lines, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(lines, labels, loc="outside lower center", frameon=False, ncols=len(labels))
+    return figure
+
+
+def draw_errors(rehearsals: Mapping[str, Rehearsal]) -> Figure:
+    """Draw over time how far the formation's centre is from the true target, with the loss where there is one."""
+    figure = Figure(figsize=(11.0, 1.9 * len(rehearsals)), layout="constrained")
+    every = figure.subplots(len(rehearsals), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, rehearsal) in zip(every, rehearsals.items(), strict=True):
+        kept = np.arange(0, len(rehearsal.time_s), 10)  # five a second: the error changes over seconds
+        axes.plot(rehearsal.time_s[kept], rehearsal.error_m[kept], color=LEADER_COLOURS[0], linewidth=1.2)
+        axes.axhline(rehearsal.tracking.capture_m, color=LIMIT_COLOUR, linestyle="--", linewidth=1.0, label="capture")
+        if rehearsal.caught_s is not None:
+            axes.axvline(rehearsal.caught_s, color=LEADER_COLOURS[2], linewidth=1.0, label="caught")
+        gaps = np.flatnonzero(np.diff(rehearsal.received_s) > rehearsal.tracking.estimator.lost_after_s)
+        for gap in gaps:
+            axes.axvspan(*rehearsal.received_s[gap : gap + 2], color="#fbe9d0", label="unseen")
+        axes.set_yscale("symlog", linthresh=2.0)  # decimetres once it is caught, tens of metres before
+        axes.yaxis.set_major_formatter(ScalarFormatter())
+        axes.set_ylim(bottom=0.0)
+        _finish_plane(axes, name, "", "error [m]")
+    every[-1].set_xlabel("time [s]")
+    shown = {label: line for axes in every for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend([*shown.values()], [*shown], loc="outside lower center", frameon=False, ncols=len(shown))
+    return figure
+
+
 def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
     """Write a figure as PNG and SVG into a folder and return both paths."""
     written = []
@@ -134,6 +183,12 @@ def _finish_space(axes: Axes3D, made: Scene, places: Array) -> None:
     axes.set_box_aspect(tuple((high - low + 2.0 * margin_m).tolist()), zoom=0.85)  # leaves room for the labels
     axes.set(xlabel="x, east [m]", ylabel="y, north [m]", zlabel="z, up [m]")
     axes.set_title(f"target ({made.name})", fontsize=11)
+
+
+def _finish_plane(axes: Axes, name: str, across: str, up: str) -> None:
+    axes.set(xlabel=across, ylabel=up)
+    axes.set_title(name, fontsize=11)
+    axes.grid(color="#dfe4e8", linewidth=0.6)
 
 
 def _spread(count: int) -> NDArray[np.intp]:

@@ -7,12 +7,17 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from fg_gcs.core.frames import Geodetic, geodetic_from_enu
 from fg_gcs.errors import VehicleError
 from fg_gcs.flight.fleet import Fleet, names
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
 from fg_gcs.flight.sortie import Sortie
+from fg_gcs.flight.sources import SIMULATED_ENDPOINT
 from fg_gcs.flight.streamer import Streamer
+from fg_gcs.flight.tracking import Pursuit, Tracked
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import parse_endpoint
 from fg_gcs.link.router import Counters, Direction, Router
@@ -33,6 +38,7 @@ class Setup(NamedTuple):
     wait_s: float  # how long to wait for the vehicles' first heartbeats
     simulated: bool  # the vehicles are our own simulator's: the mission says where the world's origin is
     stopwatch: Callable[[], float]  # seconds, for planning times
+    targets_endpoint: str = SIMULATED_ENDPOINT  # where simulated target vehicles come
 
 
 @dataclass
@@ -49,6 +55,7 @@ class Result:
     lost: tuple[int, ...] = ()  # system ids that fell silent and did not come back
     late_ticks: int = 0
     counters: Counters | None = None
+    tracked: Tracked | None = None  # of missions with moving targets, once tracking has begun
 
 
 class Director:
@@ -58,6 +65,7 @@ class Director:
         result: what is known so far.
         fleet: the vehicles, once they are found.
         journal: the present stage and what was said.
+        pursuit: of moving targets, once it is ready.
     """
 
     def __init__(self, mission: Mission, setup: Setup, recorder: Recorder) -> None:
@@ -65,6 +73,7 @@ class Director:
         self.result = Result()
         self.fleet: Fleet | None = None
         self.journal = Journal(recorder)
+        self.pursuit: Pursuit | None = None
         self._mission = mission
         self._setup = setup
         self._interrupts: asyncio.Queue[str] = asyncio.Queue()
@@ -111,6 +120,9 @@ class Director:
             self.result.stages = self.journal.stages
             self.result.counters = router.counters
             router.close()
+            if self.pursuit is not None:
+                self.pursuit.close()
+                self.result.tracked = self.pursuit.tracked
         if self._failure is not None:
             raise self._failure
         return self.result
@@ -124,14 +136,23 @@ class Director:
             with self.journal.in_stage("prepare"):
                 task = await self._prepare(fleet, failsafes)
             with self.journal.in_stage("plan"):
-                sorties.append(self._plan(fleet, task))
+                plan = self._plan(fleet, task)
+                sortie = Sortie(fleet, self._mission, task, plan, self.journal, self.interrupt)
+                if self._mission.targets is not None:
+                    self.pursuit = await self._listen(sortie.streamer, task, plan)
+                sorties.append(sortie)
 
         try:
             await self._unless_interrupted(on_the_ground())
             sortie = sorties[0]
             self._streamer = sortie.streamer
             background += [asyncio.create_task(sortie.streamer.run()), asyncio.create_task(sortie.watch())]
-            await self._unless_interrupted(self._all_alive(sortie.fly(), background))
+            if self.pursuit is None:
+                flight = sortie.fly()
+            else:
+                background.append(asyncio.create_task(self.pursuit.run()))
+                flight = sortie.track(self.pursuit, self._origin())
+            await self._unless_interrupted(self._all_alive(flight, background))
             self.result.completed = True
         except VehicleError as error:
             self.result.reason = str(error)
@@ -163,11 +184,11 @@ class Director:
         limits = await vehicle_limits(fleet, task.rules.limits, recorder)
         failsafes.append(Failsafes(fleet, recorder))
         await failsafes[0].set()
-        known = self._mission.origin is not None or self._setup.simulated
-        fleet.learn_frames(self._mission.origin_geodetic() if known else None, self._mission.pads_enu_m()[0])
+        origin = self._mission.origin_geodetic() if self._knows_origin else None
+        fleet.learn_frames(origin, self._mission.pads_enu_m()[0])
         return replace(task, rules=replace(task.rules, limits=limits))
 
-    def _plan(self, fleet: Fleet, task: Task) -> Sortie:
+    def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
         """Plan from where the vehicles really stand, and prove it, before anything is armed."""
         tops = fleet.positions_enu_m()
         tops[:, 2] = self._mission.takeoff.height_m
@@ -179,7 +200,33 @@ class Director:
             f"never closer than {plan.separation.distance_m:.2f} m; "
             f"planned in {1e3 * (plan.plan_time_s + plan.timing_time_s):.0f} ms",
         )
-        return Sortie(fleet, self._mission, task, plan, self.journal, self.interrupt)
+        return plan
+
+    @property
+    def _knows_origin(self) -> bool:
+        return self._mission.origin is not None or self._setup.simulated
+
+    async def _listen(self, streamer: Streamer, task: Task, plan: FlightPlan) -> Pursuit:
+        """Open the sources of moving targets, before anything is armed."""
+        setup = self._setup
+        pursuit = Pursuit(
+            self._mission,
+            task,
+            task.formation.slots_m[plan.slot_of],
+            streamer,
+            self.journal,
+            setup.stopwatch,
+            setup.targets_endpoint,
+        )
+        await pursuit.open()
+        return pursuit
+
+    def _origin(self) -> Geodetic:
+        """Return where on Earth the mission's (0, 0, 0) is: as the file says, or as learnt from the first vehicle."""
+        own = None if self.fleet is None else self.fleet.vehicles[0].origin
+        if self._knows_origin or self.fleet is None or own is None:
+            return self._mission.origin_geodetic()
+        return geodetic_from_enu(-np.array(self.fleet.frames[0].origin_enu_m), Geodetic(*own))
 
     async def _unless_interrupted(self, work: Awaitable[None]) -> None:
         """Do the work, or stop it at the next interrupt.

@@ -9,11 +9,14 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from fg_gcs.core.frames import Geodetic
 from fg_gcs.errors import PlanError, VehicleError
-from fg_gcs.flight.fleet import Fleet, names, until
+from fg_gcs.flight.chase import Chase
+from fg_gcs.flight.fleet import STEP_S, Fleet, names, until
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.safety import CONSEQUENCES, Action, Kind, faults
-from fg_gcs.flight.streamer import Brake, Follow, Rest, Streamer
+from fg_gcs.flight.streamer import Brake, Follow, Motion, Rest, Streamer
+from fg_gcs.flight.tracking import Pursuit
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, plan_home
@@ -70,6 +73,7 @@ class Sortie:
         self._plan = plan
         self._journal = journal
         self._abort = abort
+        self._pursuit: Pursuit | None = None
         self._tops_m = plan.gather.sample(np.zeros(1)).position_m[0]  # (V, 3) above the pads
         self._known_faults: set[tuple[Kind, tuple[int, ...]]] = set()
         self._time = asyncio.get_running_loop().time
@@ -81,11 +85,7 @@ class Sortie:
             VehicleError: a vehicle refused, or did not do what it was told in time.
         """
         everybody = range(len(self._fleet.vehicles))
-        with self._journal.in_stage("take-off"):
-            await self._take_off()
-        with self._journal.in_stage("gather"):
-            await self._stream(everybody, self._plan.gather)
-            await self._settle(everybody, "the formation")
+        await self._gather(everybody)
         with self._journal.in_stage("approach"):
             await self._stream(everybody, self._plan.approach)
         with self._journal.in_stage("hold"):
@@ -96,6 +96,29 @@ class Sortie:
             await self._settle(everybody, "the places above the pads")
         with self._journal.in_stage("land"):
             await self._land(everybody)
+
+    async def track(self, pursuit: Pursuit, origin: Geodetic) -> None:
+        """Take off, gather, catch what moves and stay around it, fly home from there, land.
+
+        Args:
+            pursuit: whose sources are open.
+            origin: where on Earth the mission's (0, 0, 0) is.
+
+        Raises:
+            VehicleError: a vehicle did not do as told, or the pursuit was given up.
+        """
+        await self._gather(range(len(self._fleet.vehicles)))
+        with self._journal.in_stage("approach"):
+            self._pursuit = pursuit
+            pursuit.begin(origin)
+            await self._pursued(pursuit, lambda: pursuit.caught_s is not None)
+        with self._journal.in_stage("hold"):
+            ends_s = self._journal.stage_ends_s = (pursuit.caught_s or 0.0) + self._mission.hold.duration_s
+            await self._pursued(pursuit, lambda: self._time() >= ends_s)
+        try:
+            await self._home_from_anywhere()
+        except PlanError as error:
+            raise VehicleError(f"no way home: {error}") from error
 
     async def bring_down(self, patience: Callable[[Awaitable[None]], Awaitable[None]]) -> None:
         """Get everybody that still obeys onto the ground: home on checked lines if possible, else on the spot.
@@ -133,6 +156,13 @@ class Sortie:
 
     # --- as planned ----------------------------------------------------------------------------------------------
 
+    async def _gather(self, everybody: Sequence[int]) -> None:
+        with self._journal.in_stage("take-off"):
+            await self._take_off()
+        with self._journal.in_stage("gather"):
+            await self._stream(everybody, self._plan.gather)
+            await self._settle(everybody, "the formation")
+
     async def _take_off(self) -> None:
         """Lift everybody to the place above its pad, each autopilot in its own way."""
         fleet, streamer = self._fleet, self.streamer
@@ -154,6 +184,19 @@ class Sortie:
         self.streamer.motion = motion
         self._journal.stage_ends_s = motion.end_s
         await asyncio.sleep(plan.duration_s)
+
+    async def _pursued(self, pursuit: Pursuit, done: Callable[[], bool]) -> None:
+        """Wait until something is reached.
+
+        Raises:
+            VehicleError: there is no sense in waiting any longer; says why.
+        """
+        async for _ in ticks(self._time(), STEP_S):
+            if done():
+                return
+            reason = pursuit.hopeless()
+            if reason is not None:
+                raise VehicleError(reason)
 
     async def _settle(self, rows: Sequence[int], where: str, timeout_s: float = SETTLE_S) -> None:
         """Wait until the vehicles have arrived where the motion has come to rest."""
@@ -198,32 +241,40 @@ class Sortie:
             self._journal.event("warning", f"{error}; landing instead")
 
     async def _home_from_anywhere(self) -> None:
-        """Stop on the path, fly home on lines checked from where everybody is told to be, land.
+        """Come to rest, fly home on lines checked from where everybody is told to be, land.
 
         Raises:
             PlanError: there are no such lines.
             VehicleError: a vehicle does not do as told.
         """
-        motion = self.streamer.motion
-        if not isinstance(motion, Follow):
+        if not isinstance(self.streamer.motion, Follow | Chase):
             raise VehicleError("everybody is above its own pad")
         with self._journal.in_stage("home"):
-            brake = Brake(motion, self._time())
-            self.streamer.motion = brake
-            await asyncio.sleep(brake.end_s - self._time())
+            still = await self._at_rest(self.streamer.motion)
             rows = self._obeying()
-            await self._stream(rows, self._way_home(brake, rows))
+            await self._stream(rows, self._way_home(still, rows))
             await self._settle(rows, "the places above the pads")
         with self._journal.in_stage("land"):
             await self._land(rows)
 
-    def _way_home(self, brake: Brake, rows: Sequence[int]) -> CheckedPlan:
-        """Plan and prove the way home of those at ``rows`` from where braking has brought them."""
-        places = brake.at(self._time()).position_m[[list(brake.rows).index(row) for row in rows]]
+    async def _at_rest(self, motion: Follow | Chase) -> Motion:
+        """Stop on the path, or on the ride that is proven for it; return the motion that rests."""
+        if isinstance(motion, Follow):
+            brake = self.streamer.motion = Brake(motion, self._time())
+            await asyncio.sleep(brake.end_s - self._time())
+            return brake
+        assert self._pursuit is not None, "nothing else chases"
+        await asyncio.sleep(self._pursuit.stop() - self._time())
+        return motion
+
+    def _way_home(self, still: Motion, rows: Sequence[int]) -> CheckedPlan:
+        """Plan and prove the way home of those at ``rows`` from where they have come to rest."""
+        places = still.at(self._time()).position_m[[list(still.rows).index(row) for row in rows]]
         others = [row for row, v in enumerate(self._fleet.vehicles) if row not in rows and v.armed]
         in_the_way = self._fleet.positions_enu_m()[others]  # lost or taken: as far as known, they stay where they are
         way = plan_home(places, self._tops_m[list(rows)], self._task, in_the_way)
-        return check(way.pieces, self._task.rules, self._task.target_enu_m)
+        gaze_enu_m = self._task.target_enu_m if self._pursuit is None else self._pursuit.gaze_enu_m
+        return check(way.pieces, self._task.rules, gaze_enu_m)
 
     def _obeying(self) -> list[int]:
         """Rows of the armed vehicles that are heard and that nobody else has taken."""

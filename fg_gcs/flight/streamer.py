@@ -116,9 +116,15 @@ class Streamer:
         self.late_ticks = 0
         self._fleet = fleet
         self._recorder = recorder
-        self._period_s = 1.0 / rate_hz
+        self.period_s = 1.0 / rate_hz
         self._engaged = [False] * len(fleet.vehicles)
         self._sent = asyncio.Event()
+        self._due_s = -np.inf
+
+    @property
+    def due_s(self) -> float:
+        """The loop's time at which the next setpoints leave; in the past while nothing is streamed [s]."""
+        return self._due_s
 
     def engage(self, rows: Iterable[int]) -> None:
         """Send setpoints to these vehicles from the next tick on."""
@@ -135,19 +141,27 @@ class Streamer:
         if self.motion is not None and any(self._engaged):
             await self._sent.wait()
 
+    def send_now(self) -> None:
+        """Send a round of setpoints between two: for news that would wait too long for the next."""
+        if self.motion is not None and any(self._engaged):
+            self._send(self.motion, asyncio.get_running_loop().time())
+
     async def run(self) -> None:
         """Stream for ever: run it as a task."""
         loop = asyncio.get_running_loop()
-        last = -1
-        async for k, late_s in ticks(loop.time(), self._period_s):
+        start_s, last = loop.time(), -1
+        async for k, late_s in ticks(start_s, self.period_s):
             if self.motion is not None and any(self._engaged):
                 self.late_ticks += k - last - 1 if last >= 0 else 0
                 last = k
-                self._send(self.motion, loop.time(), late_s)
+                now_s = loop.time()
+                self._send(self.motion, now_s)
+                self._recorder.ticks.append((self._recorder.since_start_s(now_s), late_s))
+                self._due_s = start_s + (k + 1) * self.period_s
                 self._sent.set()  # wakes who waits now
                 self._sent.clear()
 
-    def _send(self, motion: Motion, now_s: float, late_s: float) -> None:
+    def _send(self, motion: Motion, now_s: float) -> None:
         rows = motion.rows
         wanted = motion.at(now_s)
         time_s = self._recorder.since_start_s(now_s)
@@ -163,7 +177,6 @@ class Streamer:
                 setpoint = Setpoint(positions[index], velocities[index], accelerations[index], headings[index])
                 router.send(system_id, pack_setpoint(setpoint, system_id, router.sender(system_id)))
                 record((time_s, system_id, *table[index], headings[index]))
-        self._recorder.ticks.append((time_s, late_s))
 
 
 def looking(plan: CheckedPlan, position_m: Array, velocity_m_s: Array, acceleration_m_s2: Array) -> Wanted:

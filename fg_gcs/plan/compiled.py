@@ -21,6 +21,7 @@ from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import timed
 
 USUAL: Final[tuple[FormulationName, ...]] = ("rigid",)
+ROOMS = ("core", "plan", "track")  # where compiled code is
 INDEX, MACHINE_CODE = "*.nbi", "*.nbc"  # the two kinds of files in numba's cache
 
 
@@ -39,7 +40,7 @@ def drop_stale() -> None:
     joined into one function, which would then go on as before.
     """
     package = Path(__file__).parent.parent
-    sources = [*(package / "core").glob("*.py"), *(package / "plan").glob("*.py")]
+    sources = [source for room in ROOMS for source in (package / room).glob("*.py")]
     newest = max(source.stat().st_mtime for source in sources)
     for folder in _caches():
         for pattern in (INDEX, MACHINE_CODE):
@@ -71,4 +72,6 @@ def _caches() -> list[Path]:
     if found is None:
         return []
     here = Path(found)
-    return [here, *here.parent.parent.glob("core/__pycache__")] if here.name == "__pycache__" else [here]
+    if here.name != "__pycache__":
+        return [here]
+    return [folder for room in ROOMS for folder in here.parent.parent.glob(f"{room}/__pycache__")]

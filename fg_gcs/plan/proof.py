@@ -44,9 +44,20 @@ class CheckedPlan:
 
     def yaw_rad(self, position_m: Array) -> Array:
         """Return the heading that looks at the target from each position; (..., 3) to (...) [rad; NED]."""
-        bearing = (self.gaze_enu_m - position_m)[..., :2]
-        near = np.maximum(YAW_BLEND_M - np.linalg.norm(bearing, axis=-1, keepdims=True), 0.0)
-        return yaw_from_enu(bearing + near * self.heading_enu)
+        return yaw_towards(self.gaze_enu_m, position_m, self.heading_enu)
+
+
+def yaw_towards(gaze_enu_m: Array, position_m: Array, heading_enu: Array) -> Array:
+    """Return the headings that look at a point from each position; (..., 3) to (...) [rad; NED].
+
+    Args:
+        gaze_enu_m: the point, shape (3,) [m; ENU].
+        position_m: from where, shape (..., 3) [m; ENU].
+        heading_enu: direction to blend over to right above or below the point, shape (2,).
+    """
+    bearing = (gaze_enu_m - position_m)[..., :2]
+    near = np.maximum(YAW_BLEND_M - np.linalg.norm(bearing, axis=-1, keepdims=True), 0.0)
+    return yaw_from_enu(bearing + near * heading_enu)
 
 
 def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> CheckedPlan:

@@ -33,9 +33,9 @@ def speed_chart(run: Run) -> go.Figure | None:
     """Return the speed of every vehicle, by its own samples."""
     if run.series is None:
         return None
-    chart = _chart(run, "speed [m/s]")
+    chart = empty_chart(run, "speed [m/s]")
     _lines(chart, run, run.series.own_time_s, run.series.speed_m_s, "m/s")
-    return _finished(chart, run.limit("speed_m_s"), "limit")
+    return finished(chart, run.limit("speed_m_s"), "limit")
 
 
 def acceleration_chart(run: Run) -> go.Figure | None:
@@ -46,21 +46,21 @@ def acceleration_chart(run: Run) -> go.Figure | None:
         np.where(airborne, values, np.nan)
         for airborne, values in zip(run.series.airborne, run.series.acceleration_m_s2, strict=True)
     ]
-    chart = _chart(run, "acceleration [m/s²]")
+    chart = empty_chart(run, "acceleration [m/s²]")
     _lines(chart, run, run.series.own_time_s, in_the_air, "m/s²")
-    return _finished(chart, run.limit("acceleration_m_s2"), "limit")
+    return finished(chart, run.limit("acceleration_m_s2"), "limit")
 
 
 def face_chart(run: Run) -> go.Figure | None:
     """Return flux metric and coverage of the flown face."""
     if run.series is None or not np.isfinite(run.series.flux_metric).any():
         return None
-    chart = _chart(run, "share [0 to 1]", height=270)
+    chart = empty_chart(run, "share [0 to 1]", height=270)
     for name, values, colour in (
         ("flux metric", run.series.flux_metric, "#0072b2"),
         ("coverage", run.series.coverage, "#e69f00"),
     ):
-        _line(chart, run.series.time_s, values, name, colour, "")
+        add_line(chart, run.series.time_s, values, name, colour, "")
     chart.update_yaxes(range=[-0.03, 1.06])
     return chart
 
@@ -69,16 +69,16 @@ def separation_chart(run: Run) -> go.Figure | None:
     """Return the distance of the closest pair."""
     if run.series is None or not np.isfinite(run.series.separation_m).any():
         return None
-    chart = _chart(run, "closest pair [m]", height=270)
-    _line(chart, run.series.time_s, run.series.separation_m, "closest pair", "#0072b2", "m")
-    return _finished(chart, run.number("separation_m"), "minimum")
+    chart = empty_chart(run, "closest pair [m]", height=270)
+    add_line(chart, run.series.time_s, run.series.separation_m, "closest pair", "#0072b2", "m")
+    return finished(chart, run.number("separation_m"), "minimum")
 
 
 def tracking_chart(run: Run) -> go.Figure | None:
     """Return every vehicle's distance from its setpoint in the stages that follow a plan."""
     if run.series is None or not any(np.isfinite(error).any() for error in run.series.error_m):
         return None
-    chart = _chart(run, "distance from setpoint [m]", height=270)
+    chart = empty_chart(run, "distance from setpoint [m]", height=270)
     _lines(chart, run, run.series.own_time_s, run.series.error_m, "m")
     chart.update_yaxes(rangemode="tozero")
     return chart
@@ -89,10 +89,10 @@ def lateness_chart(run: Run) -> go.Figure | None:
     times, late_ms = run.ticks["time_s"], run.ticks["late_s"] * 1e3
     if not len(times):
         return None
-    chart = _chart(run, "lateness [ms]", height=230)
-    _line(chart, times, late_ms, "lateness", "#0072b2", "ms")
+    chart = empty_chart(run, "lateness [ms]", height=230)
+    add_line(chart, times, late_ms, "lateness", "#0072b2", "ms")
     period_ms = None if run.mission is None else 1e3 / run.mission.stream.rate_hz
-    return _finished(chart, period_ms, "one period")
+    return finished(chart, period_ms, "one period")
 
 
 def colour_of(run: Run, system_id: int) -> str:
@@ -120,7 +120,7 @@ def thinned(values: Array, points: int) -> NDArray[np.intp]:
     return np.unique(np.concatenate((index[rows, peaks], index[rows, dips])))
 
 
-def _chart(run: Run, title: str, height: int = 330) -> go.Figure:
+def empty_chart(run: Run, title: str, height: int = 330) -> go.Figure:
     """Return an empty chart with the stages behind it and red marks where something went wrong."""
     chart = go.Figure()
     begin_s, end_s = run.span_s
@@ -164,7 +164,7 @@ def _label(time_s: float, text: str, colour: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _finished(chart: go.Figure, limit: float | None, name: str) -> go.Figure:
+def finished(chart: go.Figure, limit: float | None, name: str) -> go.Figure:
     """Draw the limit, if there is one, and let the axis begin at zero."""
     if limit is not None:
         span = list(chart.layout.xaxis.range)
@@ -204,7 +204,8 @@ def _lines(chart: go.Figure, run: Run, times: Sequence[Array], values: Sequence[
             )  # fmt: skip
 
 
-def _line(chart: go.Figure, times: Array, values: Array, name: str, colour: str, unit: str) -> None:
+def add_line(chart: go.Figure, times: Array, values: Array, name: str, colour: str, unit: str) -> None:
+    """Draw one line, (T,) over (T,) [s]; NaN leaves a gap."""
     chart.add_trace(_trace(times, values, name, unit, POINTS_PER_LINE).update(line={"color": colour, "width": 1.6}))
     chart.update_layout(showlegend=True)
 

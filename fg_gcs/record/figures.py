@@ -21,6 +21,23 @@ PLANNED_STAGES = ("gather", "approach", "hold", "home")
 
 
 @dataclass(frozen=True)
+class Whereabouts:
+    """Where something was over time; before and after it stands still."""
+
+    time_s: Array  # (T,) ascending, T >= 1 [s]
+    position_m: Array  # (T, 3) [m; ENU]
+
+    @classmethod
+    def standing(cls, position_m: Array) -> Whereabouts:
+        """Return those of something that never moves, shape (3,) [m; ENU]."""
+        return cls(np.zeros(1), np.asarray(position_m, dtype=float)[None])
+
+    def at(self, time_s: Array) -> Array:
+        """Return where it was, shape (S,) [s] to (S, 3) [m; ENU]."""
+        return interpolated(time_s, self.time_s, self.position_m)
+
+
+@dataclass(frozen=True)
 class Flown:
     """A flight's series on common instants, and per vehicle on its own samples."""
 
@@ -38,7 +55,7 @@ class Flown:
 
 
 def flown(
-    telemetry: Columns, setpoints: Columns, stages: Mapping[str, tuple[float, float]], rim: Array, target_enu_m: Array
+    telemetry: Columns, setpoints: Columns, stages: Mapping[str, tuple[float, float]], rim: Array, target: Whereabouts
 ) -> Flown | None:
     """Return the series of a flight, or None when the vehicles share no time in the tables.
 
@@ -47,7 +64,7 @@ def flown(
         setpoints: columns of the setpoint table.
         stages: begin and end of each stage of the flight [s].
         rim: indices of the leaders in their winding order, shape (N,).
-        target_enu_m: the target, shape (3,) [m].
+        target: what is surrounded.
     """
     ids = np.unique(telemetry["system_id"])
     tracks = [_rows(telemetry, i) for i in ids]
@@ -58,7 +75,7 @@ def flown(
     if end <= begin:
         return None
     time_s = np.arange(begin, end, 1.0 / GRID_HZ)
-    position = np.stack([_interpolated(time_s, t["time_s"], t["position_enu_m"]) for t in tracks], axis=1)
+    position = np.stack([interpolated(time_s, t["time_s"], t["position_enu_m"]) for t in tracks], axis=1)
     whole_face = len(rim) >= 3 and max(rim, default=0) < len(ids)
     rims = position[:, rim.astype(int)] if whole_face else None
     nothing = np.full(len(time_s), np.nan)
@@ -67,8 +84,8 @@ def flown(
         time_s=time_s,
         position_m=position,
         separation_m=smallest_over_time(position) if len(ids) > 1 else nothing,
-        flux_metric=nothing if rims is None else flux_metric(rims, target_enu_m),
-        coverage=nothing if rims is None else coverage(rims, target_enu_m),
+        flux_metric=nothing if rims is None else flux_metric(rims, target.at(time_s)),
+        coverage=nothing if rims is None else coverage(rims, target.at(time_s)),
         own_time_s=tuple(track["time_s"] for track in tracks),
         speed_m_s=tuple(np.linalg.norm(track["velocity_enu_m_s"], axis=1) for track in tracks),
         acceleration_m_s2=tuple(_acceleration(track) for track in tracks),
@@ -119,7 +136,8 @@ def _rows(columns: Columns, system_id: float) -> dict[str, Array]:
     return {name: column[mine] for name, column in columns.items()}
 
 
-def _interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
+def interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
+    """Return values between samples, constant beyond them; (S,), (T,) [s] and (T, K) to (S, K)."""
     return np.stack([np.interp(at_s, time_s, values[:, axis]) for axis in range(values.shape[1])], axis=1)
 
 
@@ -138,7 +156,7 @@ def _errors(track: Columns, setpoints: Columns, stages: Mapping[str, tuple[float
     errors = np.full(len(track["time_s"]), np.nan)
     if len(setpoints["time_s"]) < 2:
         return errors
-    wanted = _interpolated(track["time_s"], setpoints["time_s"], setpoints["position_enu_m"])
+    wanted = interpolated(track["time_s"], setpoints["time_s"], setpoints["position_enu_m"])
     distance = np.linalg.norm(track["position_enu_m"] - wanted, axis=1)
     for begin, end in (stages[name] for name in PLANNED_STAGES if name in stages):
         inside = (track["time_s"] >= begin) & (track["time_s"] <= min(end, setpoints["time_s"][-1]))

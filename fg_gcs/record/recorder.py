@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from fg_gcs.record.table import SETPOINTS, TELEMETRY, TICKS, Table
+from fg_gcs.record.table import REPLANS, SETPOINTS, SIGHTINGS, TELEMETRY, TICKS, TRUTH, Table
 from fg_gcs.record.tlog import TlogWriter
 
 TLOG, EVENTS, SUMMARY, MISSION, REPORT = (
@@ -21,6 +21,8 @@ TLOG, EVENTS, SUMMARY, MISSION, REPORT = (
     "mission.toml",
     "report.html",
 )
+TABLES = ("telemetry", "setpoints", "ticks")
+TRACKING_TABLES = ("sightings", "replans", "truth")  # empty where nothing moves
 
 
 def make_folder(logs: Path, name: str, now: datetime) -> Path:
@@ -56,6 +58,9 @@ class Recorder:
         self.telemetry = Table(TELEMETRY)
         self.setpoints = Table(SETPOINTS)
         self.ticks = Table(TICKS)
+        self.sightings = Table(SIGHTINGS)
+        self.replans = Table(REPLANS)
+        self.truth = Table(TRUTH)
         self.listener: Callable[[float, str, str], None] | None = None  # hears every event: time, kind, text
         self._start_s = start_s
         (folder / MISSION).write_text(mission_toml)
@@ -82,7 +87,8 @@ class Recorder:
 
     def finish(self, summary: dict[str, object]) -> None:
         """Write the tables and the summary."""
-        for name, table in (("telemetry", self.telemetry), ("setpoints", self.setpoints), ("ticks", self.ticks)):
+        for name in (*TABLES, *TRACKING_TABLES):
+            table: Table = getattr(self, name)
             table.save(self.folder / f"{name}.npz")
         (self.folder / SUMMARY).write_text(json.dumps(plain(summary), indent=1) + "\n")
 

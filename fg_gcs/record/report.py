@@ -20,6 +20,7 @@ from fg_gcs.record.page import Cell, Row, chart, page, section, table
 from fg_gcs.record.recorder import REPORT
 from fg_gcs.record.run import Event, Run, load_run
 from fg_gcs.record.scene import scene
+from fg_gcs.record.tracking_charts import age_chart, centre_chart, sightings_chart
 
 # Plans keep their limits exactly, real vehicles overshoot: wind, control, velocities stamped in whole milliseconds
 FLOWN_SLACK = 0.05
@@ -55,11 +56,14 @@ def write_report(folder: Path) -> Path:
 
 
 def _sections(run: Run) -> Iterator[str]:
+    planned = "Planned: proven before take-off."
+    if run.pursued is not None:
+        planned = "Nothing of the chase is planned before take-off: every ride is proven before it is flown."
     yield _headline(run)
     yield section(
         "What was asked, what was flown",
         table(("", "asked", "planned", "flown", ""), _figures(run)),
-        f"Planned: proven before take-off. Flown: measured from the vehicles' own telemetry; since they overshoot a "
+        f"{planned} Flown: measured from the vehicles' own telemetry; since they overshoot a "
         f"little, up to {100 * FLOWN_SLACK:g} % above a speed or acceleration limit counts as kept. Separation has no "
         "slack.",
     )
@@ -82,6 +86,8 @@ def _sections(run: Run) -> Iterator[str]:
 
 
 def _charts(run: Run) -> Iterator[str]:
+    if run.pursued is not None:
+        yield from _tracking_charts(run)
     yield chart(
         "speed",
         "Speed",
@@ -127,6 +133,31 @@ def _charts(run: Run) -> Iterator[str]:
     )
 
 
+def _tracking_charts(run: Run) -> Iterator[str]:
+    yield chart(
+        "centre",
+        "How far off the target",
+        centre_chart(run),
+        "Distance of the formation's centre from where it should be around the target: dark by what was flown and "
+        "where the target truly was, in colours by what was commanded and believed, one colour for each of the "
+        "tracker's modes. Good: it falls fast, and stays below the dashed line from the capture on.",
+    )
+    yield chart(
+        "sightings",
+        "Sightings",
+        sightings_chart(run),
+        "How far every sighting lay from the target when it was true. Good: red crosses, which were refused, lie far "
+        "off, and those that were taken spread by no more than the sensor's noise.",
+    )
+    yield chart(
+        "age",
+        "Age of what is known",
+        age_chart(run),
+        "How old the newest sighting was whenever a ride was planned. Good: below the dashed line, from which on the "
+        "target counts as lost.",
+    )
+
+
 def _headline(run: Run) -> str:
     summary = run.summary
     completed = bool(summary.get("completed"))
@@ -148,28 +179,50 @@ def _headline(run: Run) -> str:
 
 
 def _figures(run: Run) -> Iterator[Row]:
-    number = run.number
+    number, moves = run.number, run.pursued is not None
     vehicles, landed = _vehicles(run), number("vehicles_landed")
     everybody = None if vehicles is None or landed is None else landed == vehicles
     yield _row("Vehicles landed and disarmed", _text(vehicles, "", 0), "", _landed(run), everybody)
     for name, key, unit in (("speed", "speed_m_s", "m/s"), ("acceleration", "acceleration_m_s2", "m/s²")):
         flown, limit = number(f"flown_peak_{key}"), run.limit(key)
-        planned = _text(number(f"peak_{key}"), unit)
+        planned = "" if moves else _text(number(f"peak_{key}"), unit)
         yield _row(f"Highest {name}", _text(limit, unit, None, "≤ "), planned, _text(flown, unit), *_kept(flown, limit))
     flown, limit = number("flown_min_separation_m"), number("separation_m")
     far_enough = None if flown is None or limit is None else flown >= limit
-    planned = _text(number("min_separation_m"), "m")
+    planned = "" if moves else _text(number("min_separation_m"), "m")
     yield _row("Smallest separation", _text(limit, "m", None, "≥ "), planned, _text(flown, "m"), far_enough)
     planned, held = _text(number("flux_metric"), "", 3), _text(number("flown_flux_metric"), "", 3)
+    planned = "" if moves else planned
     yield _row("Flux metric at the hold (1 is best)", "", planned, held)
     yield _row("Tracking error, root mean square", "", "", _text(number("tracking_rms_m"), "m", 3))
     yield _row("Tracking error, largest", "", "", _text(number("tracking_max_m"), "m", 3))
+    if run.pursued is not None:
+        yield from _tracking_figures(run)
     rate, asked = number("setpoint_rate_hz"), None if run.mission is None else run.mission.stream.rate_hz
     often = None if rate is None or asked is None else rate >= asked * (1.0 - RATE_SLACK)
     yield _row("Setpoints for the vehicle served worst", _text(asked, "Hz", None), "", _text(rate, "Hz", 1), often)
     late, period = number("setpoint_late_p99_ms"), None if asked is None else 1e3 / asked
     timely = None if late is None or period is None else late < period
     yield _row("Lateness of 99 % of the setpoints", _text(period, "ms", None, "< "), "", _text(late, "ms"), timely)
+
+
+def _tracking_figures(run: Run) -> Iterator[Row]:
+    for name, key, unit, digits in (
+        ("Time until the target was caught", "capture_time_s", "s", 1),
+        ("Centre off the true target, root mean square", "centre_error_rms_m", "m", 2),
+        ("Centre off the true target, 95 % of the time below", "centre_error_p95_m", "m", 2),
+        ("Share of the time after the capture with a flux metric of 0.9", "flux_metric_share", "", 3),
+        ("Smallest coverage on the way, once it faces the target", "coverage_min_after_facing", "", 3),
+        ("Rides planned", "replans", "", 0),
+        ("Planning one, 99 % of them in less than", "replan_p99_ms", "ms", 1),
+        ("From a sighting to its setpoint, 99 % in less than", "sensed_to_setpoint_p99_ms", "ms", 1),
+        ("Sightings", "sightings", "", 0),
+    ):
+        yield _row(name, "", "", _text(run.number(key), unit, digits))
+    for again in run.summary.get("found_again_s") or ():
+        yield _row("Lost, and found again within", "", "", "never" if again is None else _text(float(again), "s", 1))
+    for reason, count in (run.summary.get("sightings_rejected") or {}).items():
+        yield _row(f"Sightings refused: {str(reason).replace('_', ' ')}", "", "", str(count))
 
 
 def _row(name: str, asked: str, planned: str, flown: str, kept: bool | None = None, remark: str = "") -> Row:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.record.figures import Flown, flown
-from fg_gcs.record.recorder import EVENTS, MISSION, SUMMARY
-from fg_gcs.record.table import Columns, load
+from fg_gcs.record.figures import Flown, Whereabouts, flown
+from fg_gcs.record.moving import Pursued, estimated_centre, true_centre
+from fg_gcs.record.recorder import EVENTS, MISSION, SUMMARY, TABLES
+from fg_gcs.record.table import REPLANS, SIGHTINGS, TRUTH, Columns, Table, load
 
 Array = NDArray[np.float64]
 
 IN_FLIGHT = ("take-off", "gather", "approach", "hold", "home", "land")
 STAMP_FORMAT, STAMP_LENGTH = "%Y-%m-%dT%H-%M-%S", 19  # how the name of a run's folder begins
+TRACKING = (("sightings", SIGHTINGS), ("replans", REPLANS), ("truth", TRUTH))
 
 
 class Event(NamedTuple):
@@ -54,6 +56,9 @@ class Run:
     telemetry: Columns
     setpoints: Columns
     ticks: Columns
+    sightings: Columns  # empty, like the next two, where nothing moved
+    replans: Columns
+    truth: Columns
 
     @cached_property
     def stages(self) -> dict[str, tuple[float, float]]:
@@ -72,9 +77,40 @@ class Run:
         return None if target is None else np.array(target, dtype=float)
 
     @cached_property
+    def pursued(self) -> Pursued | None:
+        """What was tracked; None where nothing moved, or the mission file is no longer understood."""
+        mission, stages = self.mission, self.stages
+        if mission is None or mission.targets is None or "approach" not in stages:
+            return None
+        began_s, ended_s = stages["approach"]
+        taken_s = self.number("capture_time_s")
+        task = mission.task()
+        return Pursued(
+            began_s,
+            stages.get("hold", (0.0, ended_s))[1],
+            None if taken_s is None else began_s + taken_s,
+            tuple(target.weight for target in mission.targets),
+            task.formation.leaders_m,
+            task.hold_depth_m,
+            mission.track.capture_m,
+            mission.track.lost_after_s,
+        )
+
+    @cached_property
+    def true_target(self) -> Whereabouts | None:
+        """Where the centre of moving targets truly was, if that is known."""
+        return None if self.pursued is None else true_centre(self.truth, self.pursued.weights)
+
+    @cached_property
+    def estimated_target(self) -> Whereabouts | None:
+        """Where the centre of moving targets was believed to be."""
+        return None if self.pursued is None else estimated_centre(self.replans)
+
+    @cached_property
     def series(self) -> Flown | None:
         """The flight's series, or None when there are too few samples for any."""
-        target = np.full(3, np.nan) if self.target_enu_m is None else self.target_enu_m
+        standing = np.full(3, np.nan) if self.target_enu_m is None else self.target_enu_m
+        target = self.true_target or self.estimated_target or Whereabouts.standing(standing)
         return flown(self.telemetry, self.setpoints, self.stages, self.rim.astype(float), target)
 
     @cached_property
@@ -131,9 +167,10 @@ def load_run(folder: Path) -> Run:
     except ValueError:
         begun = None
     name = folder.name[STAMP_LENGTH + 1 :] if begun is not None else folder.name
-    tables = [load(folder / f"{table}.npz") for table in ("telemetry", "setpoints", "ticks")]
+    tables = [load(folder / f"{table}.npz") for table in TABLES]
+    tracking = [_load_if_there(folder / f"{name}.npz", widths) for name, widths in TRACKING]
     lines = (folder / EVENTS).read_text(errors="replace").splitlines()
-    return Run(name or folder.name, begun, mission, summary, _events(lines), *tables)
+    return Run(name or folder.name, begun, mission, summary, _events(lines), *tables, *tracking)
 
 
 def _events(lines: Sequence[str]) -> tuple[Event, ...]:
@@ -147,6 +184,11 @@ def _events(lines: Sequence[str]) -> tuple[Event, ...]:
         except (ValueError, KeyError, TypeError, AttributeError):
             continue
     return tuple(events)
+
+
+def _load_if_there(path: Path, columns: Mapping[str, int]) -> Columns:
+    """Read a table that runs of older versions do not have."""
+    return load(path) if path.exists() else Table(columns).columns()
 
 
 def _number(value: object) -> float | None:

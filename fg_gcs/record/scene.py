@@ -19,6 +19,7 @@ POINTS_PER_PATH = 400  # straight pieces of a decimetre or so: smooth from any s
 POINTS_IN_ALL = 25_000  # under half a megabyte each for the ways out, the ways home and the plans
 FLATTEST = 0.2  # shortest axis against the longest: room enough for its labels
 TARGET_COLOUR, FACE_COLOUR, PLAN_COLOUR, PAD_COLOUR = "#c62828", "#e6a700", "#78909c", "#455a64"
+ESTIMATE_COLOUR = "#f4a3a0"
 
 
 def scene(run: Run) -> go.Figure | None:
@@ -44,11 +45,7 @@ def scene(run: Run) -> go.Figure | None:
     _add_faces(figure, run)
     pads = np.concatenate([_path_of(run.telemetry, i)[:1] for i in ids])
     _add_points(figure, pads, "where they stood", PAD_COLOUR, "square", 3)
-    if run.target_enu_m is not None:
-        _add_points(figure, run.target_enu_m[None], "target", TARGET_COLOUR, "diamond", 7)
-    places = np.concatenate([_path_of(run.telemetry, i) for i in ids])
-    if run.target_enu_m is not None:
-        places = np.concatenate((places, run.target_enu_m[None]))
+    places = np.concatenate([_path_of(run.telemetry, i) for i in ids] + _add_target(figure, run))
     figure.update_layout(
         template="none",
         height=640,
@@ -173,6 +170,25 @@ def _add_faces(figure: go.Figure, run: Run) -> None:
     _add_group(figure, faces, "face (begin, middle, hold)", FACE_COLOUR, {"width": 4})
     if faces:
         figure.data[-1].legendgroup = "face"
+
+
+def _add_target(figure: go.Figure, run: Run) -> list[Array]:
+    """Draw the target, and where it went if it moved; return the places of that."""
+    if run.target_enu_m is None:
+        return []
+    moves = run.pursued is not None
+    name = "target at first" if moves else "target"
+    _add_points(figure, run.target_enu_m[None], name, TARGET_COLOUR, "diamond", 7)
+    places = [run.target_enu_m[None]]
+    for where, what, colour in (
+        (run.estimated_target, "target as estimated", ESTIMATE_COLOUR),
+        (run.true_target, "target's true way", TARGET_COLOUR),
+    ):
+        if where is not None:
+            path = along(where.position_m, POINTS_PER_PATH)
+            _add_group(figure, [path], what, colour, {"width": 4})
+            places.append(path)
+    return places
 
 
 def _add_points(figure: go.Figure, places: Array, name: str, colour: str, symbol: str, size: int) -> None:

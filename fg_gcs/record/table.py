@@ -32,6 +32,30 @@ SETPOINTS: dict[str, int] = {
     "yaw_rad": 1,
 }
 TICKS: dict[str, int] = {"time_s": 1, "late_s": 1}
+SIGHTINGS: dict[str, int] = {  # those of a form that could be looked at; the others are only counted
+    "time_s": 1,  # its stamp: when it was true, since the start of the run
+    "received_s": 1,
+    "target": 1,  # index among the mission's; -1: none of them
+    "position_enu_m": 3,
+    "verdict": 1,  # index among those of fg_gcs.track.sightings.Verdict
+}
+REPLANS: dict[str, int] = {
+    "time_s": 1,  # when the present state was looked at, since the start of the run
+    "sighted_s": 1,  # when the oldest sighting came that had waited for it; NaN: none had
+    "planned_s": 1,  # when it was done; in virtual time that is the same
+    "mode": 1,  # index among those of fg_gcs.track.replanner.Mode
+    "taken": 1,  # 1: there is a new ride, 0: the one before goes on
+    "position_enu_m": 3,  # the targets' centre by the estimate
+    "velocity_enu_m_s": 3,
+    "age_s": 1,  # of the estimate
+    "radius_m": 1,  # of the ball that the face should cover
+    "error_m": 1,  # distance of the commanded formation's centre from the estimate
+}
+TRUTH: dict[str, int] = {  # where the targets truly were, if that is known
+    "time_s": 1,
+    "target": 1,
+    "position_enu_m": 3,
+}
 
 
 class Table:

@@ -68,11 +68,11 @@ class Joints:
             self._table = np.array(rows)
         return _states(self._table, np.asarray(time_s, dtype=float))
 
-    def smoothly(self, goal: Array, duration_s: float) -> None:
+    def smoothly(self, goal: Array, duration_s: float) -> float:
         """Add the motion to a state, shape (3, D), of the least squared jerk in a time: polynomials of fifth degree.
 
         Flown again and again from where it has come to, it leads to the goal without ringing, so that it suits goals
-        that change a little all the time; it knows no bounds.
+        that change a little all the time; it knows no bounds. Returns the norm of the jerk that it starts with.
         """
         t = duration_s
         start, end = self._end, goal
@@ -87,6 +87,7 @@ class Joints:
             phases.append((self.end_s, self.end_s, *row))
         self._end = np.array(goal, dtype=float)
         self.end_s, self._table = self.end_s + t, None
+        return 6.0 * float(np.linalg.norm(cubic))
 
     def to(self, goal: Array, bounds: Bounds, least_s: float = 0.0) -> bool:
         """Add the fastest motion to a state, shape (3, D), that takes ``least_s`` or longer; False if there is none."""

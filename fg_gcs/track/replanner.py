@@ -40,8 +40,9 @@ SAME_SCALE = 0.02  # a change of the size by less is not worth moving for
 TURN_S = 0.9  # least time for a turn on the way: attitudes wanted differ a little from look to look
 
 # Times to join a target in, quick ones first: below 0.8 s accelerations mirror the noise of the sightings
-SMOOTH_S = (0.8, 0.9, 1.0, 1.15, 1.3, 1.6, 2.0, 2.6)
-RUN_ON_S = 1.0  # how long to go on at the target's velocity after a join, before braking
+SMOOTH_S = (0.8, 0.9, 1.0, 1.15, 1.3, 1.6, 2.0, 2.6, 3.4, 4.5)
+RUN_ON_S, SHORTLY_S = 8.0, 2.0  # how long to go on as predicted if no sighting comes, and if that leads too far
+PIECE_S = 1.5  # of a prediction: a polynomial of fifth degree follows it to the millimetre
 
 
 class Effort(NamedTuple):
@@ -54,7 +55,7 @@ class Effort(NamedTuple):
 
 EFFORTS = (Effort(0.85, 0.15, 1.0), Effort(0.7, 0.2, 0.5), Effort(0.5, 0.2, 0.2), Effort(0.3, 0.1, 0.0))
 ON_THE_SPOT = (Effort(0.9, 0.6), Effort(0.7, 0.3), Effort(0.4, 0.15))
-JOINED = Effort(0.8, 0.15, RUN_ON_S)  # what follows a smooth join
+JOINED = Effort(0.7, 0.15)  # what follows a smooth join
 GROWTH = 0.15  # share of the limits that growing may take at the outermost vehicle
 
 FAR_RADII = 1.5  # beyond this many radii the way to the target has a direction
@@ -155,9 +156,10 @@ class Replanner:
             ride = self._stopped(state, attitude, goal.scale, now_s)
             return self._taken(ride, Mode.TURN)
         for takes_s in SMOOTH_S:
-            ride = self._joined(state, attitude, goal, now_s, takes_s)
+            ride = self._joined(state, attitude, goal, now_s, takes_s, SHORTLY_S)
             if ride is not None and self._holds(ride):
-                return self._taken(ride, Mode.FOLLOW)
+                longer = self._joined(state, attitude, goal, now_s, takes_s, RUN_ON_S)
+                return self._taken(longer if longer is not None and self._holds(longer) else ride, Mode.FOLLOW)
         for effort in EFFORTS:
             ride = self._met(state, attitude, goal, now_s, effort)
             if ride is not None and self._holds(ride):
@@ -208,19 +210,24 @@ class Replanner:
                     return ride
         return None
 
-    def _joined(self, state: State, attitude: Array, goal: Goal, now_s: float, takes_s: float) -> Ride | None:
+    def _joined(
+        self, state: State, attitude: Array, goal: Goal, now_s: float, takes_s: float, run_on_s: float
+    ) -> Ride | None:
         """Return a ride that joins the target smoothly in a given time, goes on with it for a while and brakes."""
-        met = self._within(goal.at(now_s + takes_s), self._swarm.hold_depth_m * attitude[:, 0], goal.scale)
+        hold_m = self._swarm.hold_depth_m * attitude[:, 0]
+        met = self._within(goal.at(now_s + takes_s), hold_m, goal.scale)
         if np.linalg.norm(met[0] - state.joints[0, :3]) > takes_s * self._swarm.rules.limits.speed_m_s:
             return None  # too far for anybody
         axes = np.eye(3)
         bounds = self._bounds(axes, JOINED.move, ACROSS)
         moving = Joints(now_s, state.joints[:, :3])
         turning = self._turning(state, attitude, goal.scale, now_s, JOINED.turn, TURN_S)
-        moving.smoothly(met, takes_s)
+        if moving.smoothly(met, takes_s) > self._swarm.rules.limits.jerk_m_s3:
+            return None
+        while moving.end_s < now_s + run_on_s:  # along the prediction, piece by piece
+            moving.smoothly(self._within(goal.at(moving.end_s + PIECE_S), hold_m, goal.scale), PIECE_S)
         if turning is None or not moving.to_velocity(moving.end[1], bounds):
             return None
-        moving.straight_on(now_s + takes_s + JOINED.run_on_s)
         if not moving.to_velocity(np.zeros(3), bounds):
             return None
         return Ride(state.attitude, moving, turning, axes)

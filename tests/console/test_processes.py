@@ -16,16 +16,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.flight.harness import SMALL
+from tests.flight.harness import CIRCLE, SMALL, moving
 
 GCS = [sys.executable, "-m", "fg_gcs.console.cli"]
+VEHICLE = f'[[targets]]\nname = "car"\n{CIRCLE}[targets.source]\nkind = "vehicle"\nsystem_id = 101\nsimulated = true\n'
 PATIENCE_S = 120.0  # for anything at all, on a busy machine
 
 
 @contextmanager
-def flying(folder: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
+def flying(folder: Path, *more: str, text: str = SMALL) -> Iterator[subprocess.Popen[str]]:
     mission = folder / "small.toml"
-    mission.write_text(SMALL)
+    mission.write_text(text)
     command = [*GCS, "fly", str(mission), "--logs", str(folder / "logs"), "--json", *more]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -76,6 +77,32 @@ def test_a_flight_over_real_sockets(tmp_path: Path) -> None:
         flown = summary_of(process)
         assert process.returncode == 0
     assert flown["completed"] is True
+    assert flown["vehicles_landed"] == 4
+    assert Path(str(flown["report"])).stat().st_size > 100_000
+
+
+def test_a_target_that_is_a_vehicle_in_a_process_of_its_own(tmp_path: Path) -> None:
+    with flying(tmp_path, "--speed", "3", text=moving(VEHICLE)) as process:
+        wait_for(process, "caught after")
+        simulators = children(process.pid)
+        flown = summary_of(process)
+        assert process.returncode == 0
+    assert flown["completed"] is True
+    assert flown["vehicles_landed"] == 4
+    assert isinstance(flown["centre_error_rms_m"], float)
+    assert flown["centre_error_rms_m"] < 1.5
+    assert isinstance(flown["replan_p99_ms"], float)
+    assert len(simulators) == 2
+    assert all(ends(simulator) for simulator in simulators)
+
+
+def test_a_signal_while_tracking_brings_everybody_home(tmp_path: Path) -> None:
+    with flying(tmp_path, "--speed", "3", text=moving(VEHICLE)) as process:
+        wait_for(process, "caught after")
+        process.send_signal(signal.SIGINT)
+        flown = summary_of(process)
+        assert process.returncode == 1
+    assert flown["reason"] == "stopped by SIGINT"
     assert flown["vehicles_landed"] == 4
     assert Path(str(flown["report"])).stat().st_size > 100_000
 

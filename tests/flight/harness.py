@@ -47,6 +47,25 @@ high_enu_m = [30.0, 30.0, 30.0]
 [takeoff]
 height_m = 2.5
 """
+RESTING = "[target]\nposition_enu_m = [-6.0, 10.0, 12.0]\n"
+CIRCLE = """[targets.motion]
+kind = "circle"
+centre_enu_m = [0.0, 0.0, 12.0]
+radius_m = 15.0
+speed_m_s = 2.0
+"""
+
+
+def moving(targets: str, more: str = "") -> str:
+    """Return the small mission, though wider and longer, with other targets; behind it whatever else there is to say.
+
+    Wider, because a target that is known to half a metre shall still be well inside.
+    """
+    text = SMALL.replace(RESTING, targets).replace("edge_m = 6.0", "edge_m = 9.0")
+    return text.replace("duration_s = 2.0", "duration_s = 12.0\ndepth_m = 0.8") + more
+
+
+CIRCLING = moving(f'[[targets]]\nname = "lead"\n{CIRCLE}')
 
 
 @dataclass
@@ -111,15 +130,23 @@ def mission_of(folder: Path, text: str = SMALL) -> Mission:
 
 
 def fly(
-    folder: Path, autopilot: str, script: Script | None = None, mission: Mission | None = None, wind_m_s: float = 0.0
+    folder: Path,
+    autopilot: str,
+    script: Script | None = None,
+    mission: Mission | None = None,
+    wind_m_s: float = 0.0,
+    *,
+    ours: bool = True,
 ) -> Flight:
-    """Fly a mission in virtual time while a script interferes."""
+    """Fly a mission in virtual time while a script interferes; not ``ours``: where on Earth it is has to be learnt."""
     chosen = mission or mission_of(folder)
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        return runner.run(_fly(chosen, folder, autopilot, script, wind_m_s))
+        return runner.run(_fly(chosen, folder, autopilot, script, wind_m_s, ours))
 
 
-async def _fly(mission: Mission, folder: Path, autopilot: str, script: Script | None, wind_m_s: float) -> Flight:
+async def _fly(
+    mission: Mission, folder: Path, autopilot: str, script: Script | None, wind_m_s: float, ours: bool
+) -> Flight:
     loop = asyncio.get_running_loop()
     simulator = Simulator(
         SimulatorOptions(
@@ -130,7 +157,7 @@ async def _fly(mission: Mission, folder: Path, autopilot: str, script: Script | 
             wind_m_s=wind_m_s,
         )
     )
-    setup = Setup((f"udpin:127.0.0.1:{GROUND_PORT}",), 5.0, simulated=True, stopwatch=time.perf_counter)
+    setup = Setup((f"udpin:127.0.0.1:{GROUND_PORT}",), 5.0, simulated=ours, stopwatch=time.perf_counter)
     with Recorder(folder, "", loop.time(), 0.0) as recorder:
         flight = Flight(Director(mission, setup, recorder), simulator, recorder)
         await simulator.start()

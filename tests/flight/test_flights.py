@@ -10,6 +10,7 @@ import pytest
 
 from fg_gcs.console.cli import main
 from fg_gcs.core.coverage import flux_metric
+from fg_gcs.record.moving import KEYS
 from tests.flight.harness import SMALL, Flight, fly, mission_of
 
 MISSIONS = Path(__file__).parents[2] / "missions"
@@ -35,6 +36,8 @@ def test_the_papers_flights(mission: str, autopilot: str, tmp_path: Path, capsys
     assert flown["flown_min_separation_m"] >= 1.5
     assert flown["setpoint_rate_hz"] >= 20.0
     assert flown["bad_bytes"] == 0
+    assert (flown["replans"], flown["sightings"], flown["sightings_rejected"], flown["found_again_s"]) == (0, 0, {}, [])
+    assert all(flown[key] is None for key in (*KEYS, "replan_median_ms", "replan_p99_ms"))
     folder = Path(flown["log"])
     files = {"flight.tlog", "events.jsonl", "telemetry.npz", "setpoints.npz", "mission.toml", "report.html"}
     assert files <= {path.name for path in folder.iterdir()}

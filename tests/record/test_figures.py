@@ -2,11 +2,12 @@ import numpy as np
 import pytest
 
 from fg_gcs.core.coverage import flux_metric
-from fg_gcs.record.figures import figures, flown
+from fg_gcs.record.figures import Whereabouts, figures, flown
 from fg_gcs.record.table import SETPOINTS, TELEMETRY, TICKS, Columns, Table
 from tests.record.flights import STAGES, TARGET, Circle, columns_of, empty, instants
 
 RIM = np.arange(4.0)
+STANDING = Whereabouts.standing(np.array(TARGET))
 NAMES = {
     "flown_flux_metric",
     "flown_peak_speed_m_s",
@@ -20,7 +21,7 @@ NAMES = {
 
 
 def measured(telemetry: Columns, setpoints: Columns, ticks: Columns, rim: object = RIM) -> dict[str, float | None]:
-    series = flown(telemetry, setpoints, STAGES, np.asarray(rim, dtype=float), np.array(TARGET))
+    series = flown(telemetry, setpoints, STAGES, np.asarray(rim, dtype=float), STANDING)
     return figures(series, ticks, setpoints, STAGES)
 
 
@@ -48,7 +49,7 @@ def test_accelerations_survive_clocks_that_cut_off_their_milliseconds(seed: int)
     time_s = np.cumsum(random.uniform(0.005, 0.03, size=600)) + 0.5
     boot_s = np.floor((time_s + 12.3456) * 1e3) / 1e3
     telemetry = circle.telemetry(time_s, boot_s).columns()
-    series = flown(telemetry, empty(SETPOINTS), STAGES, RIM, np.array(TARGET))
+    series = flown(telemetry, empty(SETPOINTS), STAGES, RIM, STANDING)
     assert series is not None
     for acceleration in series.acceleration_m_s2:
         known = acceleration[np.isfinite(acceleration)]
@@ -71,7 +72,7 @@ def test_errors_count_in_planned_stages_only() -> None:
     telemetry, setpoints, _ = columns_of(Circle())
     outside = (setpoints["time_s"] < STAGES["gather"][0] - 0.1) | (setpoints["time_s"] > STAGES["home"][1] + 0.1)
     setpoints["position_enu_m"][outside] += 100.0  # on the ground, and while landing, setpoints mean nothing
-    series = flown(telemetry, setpoints, STAGES, RIM, np.array(TARGET))
+    series = flown(telemetry, setpoints, STAGES, RIM, STANDING)
     assert series is not None
     for time_s, error in zip(series.own_time_s, series.error_m, strict=True):
         planned = (time_s >= STAGES["gather"][0]) & (time_s <= STAGES["home"][1])
@@ -93,12 +94,12 @@ def test_the_metric_is_that_of_the_leaders_in_their_order() -> None:
     telemetry, setpoints, _ = columns_of(Circle(8))
     rim = np.array([6.0, 0.0, 2.0, 4.0])
     away = np.array(TARGET) + np.array([9.0, 0.0, 0.0])
-    series = flown(telemetry, setpoints, STAGES, rim, away)
+    series = flown(telemetry, setpoints, STAGES, rim, Whereabouts.standing(away))
     assert series is not None
     assert series.flux_metric == pytest.approx(flux_metric(series.position_m[:, rim.astype(int)], away))
     assert 0.0 < series.flux_metric.min() < 0.5
     assert series.coverage == pytest.approx(1.0)  # right in front of the face
-    behind = flown(telemetry, setpoints, STAGES, rim[::-1], away)
+    behind = flown(telemetry, setpoints, STAGES, rim[::-1], Whereabouts.standing(away))
     assert behind is not None
     assert behind.coverage.max() == 0.0
 
@@ -121,14 +122,14 @@ def test_vehicles_that_share_no_time_make_no_series() -> None:
     for system_id, times in ((1, (0.0, 1.0)), (2, (2.0, 3.0))):
         for now_s in times:
             telemetry.append((now_s, system_id, *[0.0] * 9))
-    assert flown(telemetry.columns(), empty(SETPOINTS), STAGES, RIM, np.array(TARGET)) is None
+    assert flown(telemetry.columns(), empty(SETPOINTS), STAGES, RIM, STANDING) is None
 
 
 def test_a_vehicle_lost_on_the_way_ends_the_common_series_but_not_the_others_own() -> None:
     telemetry, setpoints, _ = columns_of(Circle())
     kept = (telemetry["system_id"] != 3) | (telemetry["time_s"] < 6.0)
     cut = {name: column[kept] for name, column in telemetry.items()}
-    series = flown(cut, setpoints, STAGES, RIM, np.array(TARGET))
+    series = flown(cut, setpoints, STAGES, RIM, STANDING)
     assert series is not None
     assert series.time_s[-1] < 6.0
     assert [times[-1] > 15.0 for times in series.own_time_s] == [True, True, False, True, True]

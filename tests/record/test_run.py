@@ -33,6 +33,17 @@ def test_a_run_comes_back(tmp_path: Path) -> None:
     assert run.series.position_m.shape[1:] == (5, 3)
 
 
+def test_a_run_from_before_targets_moved_has_nothing_of_them(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / NAME)
+    for name in ("sightings", "replans", "truth"):
+        (folder / f"{name}.npz").unlink()
+    run = load_run(folder)
+    assert run.pursued is None
+    assert run.true_target is None
+    assert not len(run.sightings["time_s"])
+    assert run.series is not None
+
+
 def test_a_renamed_folder_has_no_time(tmp_path: Path) -> None:
     run = load_run(write_run(tmp_path / "best flight ever"))
     assert (run.name, run.begun) == ("best flight ever", None)

@@ -1,0 +1,81 @@
+"""The report's charts of a flight after targets that move: how far off, what was seen, how old that was."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from fg_gcs.record.charts import FAULT_COLOUR, FOLLOWER_COLOUR, INK, add_line, empty_chart, finished
+from fg_gcs.record.moving import flown_error
+from fg_gcs.record.run import Run
+from fg_gcs.track.replanner import Mode
+from fg_gcs.track.sightings import Verdict
+
+Array = NDArray[np.float64]
+
+MODE_COLOURS = {Mode.WAIT: "#cc79a7", Mode.TURN: "#e69f00", Mode.APPROACH: "#0072b2", Mode.FOLLOW: "#009e73"}
+SEEN_COLOURS = {Verdict.TAKEN: FOLLOWER_COLOUR, Verdict.TENTATIVE: "#56b4e9"}  # any other is a refusal
+LEAST_M = 0.05  # what is less is drawn as this: on a logarithmic axis the zeros of a difference reach down for ever
+MOST_MARKS = 4000  # of one kind in one chart: more than a browser's pixels tell apart
+
+
+def centre_chart(run: Run) -> go.Figure | None:
+    """Return how far the formation's centre was from its place around the target, by the truth and by the estimate."""
+    pursued, replans = run.pursued, run.replans
+    if pursued is None or not len(replans["time_s"]):
+        return None
+    chart = empty_chart(run, "distance from the target's place [m]")
+    if run.true_target is not None and run.series is not None and len(run.rim):
+        time_s, error = flown_error(run.series, run.rim.astype(float), pursued, run.true_target)
+        add_line(chart, time_s, np.maximum(error, LEAST_M), "flown, true target", INK, "m")
+    modes = replans["mode"].astype(int)
+    for index, mode in enumerate(Mode):
+        if (modes == index).any():
+            active = modes == index
+            active[1:] |= modes[:-1] == index  # each piece reaches to where the next mode begins
+            values = np.where(active, np.maximum(replans["error_m"], LEAST_M), np.nan)
+            add_line(chart, replans["time_s"], values, mode.value, MODE_COLOURS[mode], "m")
+    finished(chart, pursued.capture_m, "caught within")
+    chart.update_yaxes(type="log", dtick=1)  # from the whole way down to decimetres
+    return chart
+
+
+def sightings_chart(run: Run) -> go.Figure | None:
+    """Return how far sightings lay from the target, taken ones and refused ones apart."""
+    sightings, target = run.sightings, run.true_target or run.estimated_target
+    if target is None or not len(sightings["time_s"]):
+        return None
+    chart = empty_chart(run, "distance from the target [m]", height=270)
+    away = np.linalg.norm(sightings["position_enu_m"] - target.at(sightings["time_s"]), axis=1)
+    codes = sightings["verdict"].astype(int)
+    for index, verdict in enumerate(Verdict):
+        chosen = np.flatnonzero((codes == index) & np.isfinite(away))
+        if len(chosen):
+            chosen = chosen[:: -(-len(chosen) // MOST_MARKS)]
+            refused = verdict not in SEEN_COLOURS
+            marker = {
+                "color": SEEN_COLOURS.get(verdict, FAULT_COLOUR),
+                "size": 8 if refused else 4,
+                "symbol": "x" if refused else "circle",
+            }
+            chart.add_trace(
+                go.Scatter(
+                    x=sightings["received_s"][chosen].astype(np.float32), y=away[chosen].astype(np.float32),
+                    name=f"{'refused: ' if refused else ''}{verdict.name.lower().replace('_', ' ')}",
+                    mode="markers", marker=marker, hovertemplate="%{y:.2f} m at %{x:.2f} s",
+                )
+            )  # fmt: skip
+    chart.update_layout(showlegend=True)
+    chart.update_yaxes(rangemode="tozero")
+    return chart
+
+
+def age_chart(run: Run) -> go.Figure | None:
+    """Return how old the newest sighting was whenever a ride was planned."""
+    replans = run.replans
+    if run.pursued is None or not len(replans["time_s"]):
+        return None
+    chart = empty_chart(run, "age [s]", height=230)
+    add_line(chart, replans["time_s"], replans["age_s"], "age of what is known", "#0072b2", "s")
+    return finished(chart, run.pursued.lost_after_s, "lost after")
