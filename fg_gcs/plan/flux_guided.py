@@ -112,10 +112,11 @@ def _bent(
         normal = room[count - 1, 3:12:3]
         hold = room[count - 1].copy()
         hold[:3], hold[12] = centre_of(sources, weights) + depth_m * normal, last_scale
-        least_m = _outside_m(formation, Poses(hold[None]), fence) + MARGIN_M
+        outside_m = fence.excess_m(formation.place(Poses(hold[None])[0]))  # (V,)
         raise PlanError(
-            f"the formation does not fit around the target {_place(centre_of(sources, weights))} inside the fence: it "
-            f"would be {least_m:.2f} m outside; move the target or the fence by as much, or make the formation smaller"
+            f"the formation does not fit around the target {_place(centre_of(sources, weights))} inside the fence: in "
+            f"the hold the vehicle in slot {int(outside_m.argmax()) + 1} would be {outside_m.max() + MARGIN_M:.2f} m "
+            "outside; move the target or the fence by as much, or make the formation smaller"
         )
     return ended, _subdivided(room[:count]), tried
 
