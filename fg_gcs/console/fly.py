@@ -15,7 +15,10 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 
+from fg_gcs.console.closing import closing
+from fg_gcs.console.outlet import unhurried
 from fg_gcs.console.plan import load_planner, plan_keys
 from fg_gcs.console.progress import Progress
 from fg_gcs.console.simulator import (
@@ -95,7 +98,10 @@ async def _fly(path: Path, text: str, mission: Mission, options: Options, folder
     with ExitStack() as stack:
         epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
         recorder = stack.enter_context(Recorder(folder, text, loop.time(), epoch_s))
-        progress = stack.enter_context(Progress(mission, live=not virtual and sys.stderr.isatty()))
+        console = Console(stderr=True, highlight=False)
+        if not virtual:
+            console = Console(file=stack.enter_context(unhurried(sys.stderr)), highlight=False)
+        progress = stack.enter_context(Progress(mission, console, live=not virtual and console.is_terminal))
         recorder.listener = progress.event
         endpoints = options.endpoints
         if simulated:
@@ -131,7 +137,7 @@ async def _fly(path: Path, text: str, mission: Mission, options: Options, folder
         summary = _summary(path, mission, result, recorder)
         recorder.finish(summary)
         write_report(folder)
-    progress.closing(summary)
+    closing(Console(stderr=True, highlight=False), summary, mission)
     return result
 
 
@@ -147,13 +153,13 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
     summary: dict[str, object] = {"mission": str(path)}
     if result.plan is not None:
         summary |= plan_keys(str(path), result.system_ids, result.plan)
-    rim = [] if result.plan is None else result.plan.rim_of.tolist()
+    leaders = [] if result.plan is None else [result.system_ids[row] for row in result.plan.rim_of]
     limits = None if result.task is None else result.task.rules.limits
     counters = result.counters
     summary |= {"completed": result.completed, "reason": result.reason, "vehicles_landed": result.vehicles_landed}
     target_enu_m = mission.first_target().centre_enu_m.tolist()
-    summary |= evaluate(recorder, result.stages, rim, target_enu_m)
-    summary |= _tracking_keys(mission, result, recorder, rim)
+    summary |= evaluate(recorder, result.stages, leaders, target_enu_m)
+    summary |= _tracking_keys(mission, result, recorder, leaders)
     summary |= {
         "late_ticks": result.late_ticks,
         "lost_vehicles": list(result.lost),
@@ -164,7 +170,7 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
         "limits": None if limits is None else vars(limits),
         "separation_m": mission.limits.separation_m,
         "target_enu_m": target_enu_m,
-        "rim_rows": rim,
+        "leader_ids": leaders,
         "stages": {name: list(span) for name, span in result.stages.items()},
         "log": str(recorder.folder),
         "report": str(recorder.folder / REPORT),
@@ -174,7 +180,7 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
     return plained
 
 
-def _tracking_keys(mission: Mission, result: Result, recorder: Recorder, rim: list[int]) -> dict[str, object]:
+def _tracking_keys(mission: Mission, result: Result, recorder: Recorder, leaders: list[int]) -> dict[str, object]:
     """The figures of the tracking; those of a target at rest are 0 or none."""
     keys: dict[str, object] = {"replans": 0, "replan_median_ms": None, "replan_p99_ms": None}
     keys |= dict.fromkeys(KEYS) | {"found_again_s": [], "sightings": 0, "sightings_rejected": {}}
@@ -192,7 +198,7 @@ def _tracking_keys(mission: Mission, result: Result, recorder: Recorder, rim: li
         mission.track.capture_m,
         mission.track.lost_after_s,
     )
-    keys |= evaluate_pursuit(recorder, result.stages, rim, pursued, task.rules.limits.acceleration_m_s2)
+    keys |= evaluate_pursuit(recorder, result.stages, leaders, pursued, task.rules.limits.acceleration_m_s2)
     if tracked.planning_s:
         took_ms = [1e3 * took for took in tracked.planning_s]
         keys |= {"replan_median_ms": np.median(took_ms), "replan_p99_ms": np.percentile(took_ms, 99)}

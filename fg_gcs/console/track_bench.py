@@ -37,6 +37,7 @@ ROUGH = "circle, rough"
 ROUGH_SENSOR = "\n[targets.sensor]\ndrop = 0.3\noutliers = 0.05\noutlier_m = 20.0\n"  # goes to the last target
 REHEARSED_S = 60.0  # a minute gives some 600 durations of replanning
 ROUNDING = 1e-9  # of a limit: arithmetic, not motion
+INSTANT_S = 1e-4  # setpoints closer together than this tell rounding, not jerk
 KEYS = (  # of every mission's summary, by the names of the JSON of `fly`
     "completed",
     "reason",
@@ -225,9 +226,12 @@ def commanded(setpoints: Columns, summary: Summary, mission: Path) -> tuple[tupl
         setpoints[name][rows].reshape(-1, len(ids), 3)
         for name in ("position_enu_m", "velocity_enu_m_s", "acceleration_enu_m_s2")
     )
+    steps_s = np.diff(time_s[rows].reshape(-1, len(ids))[:, 0])
+    growth = np.linalg.norm(np.diff(acceleration, axis=0), axis=2)[steps_s > INSTANT_S]
     peaks = {
         "speed_m_s": np.linalg.norm(velocity, axis=2).max(),
         "acceleration_m_s2": np.linalg.norm(acceleration, axis=2).max(),
+        "jerk_m_s3": (growth / steps_s[steps_s > INSTANT_S, None]).max(initial=0.0),
         "climb_m_s": velocity[..., 2].max(),
         "descent_m_s": -velocity[..., 2].min(),
     }

@@ -25,6 +25,9 @@ class Sources:
 
     The clock is that of the running loop: a sighting's times are loop times. Both callbacks are called by the loop.
 
+    Attributes:
+        endpoints: where sightings of a target are waited for, by its name, of those that come over the network.
+
     Args:
         targets: the mission's.
         on_sighting: gets every sighting as it arrives; whether to believe it is not decided here.
@@ -42,6 +45,7 @@ class Sources:
         on_refused: OnRefused,
         simulated_endpoint: str = SIMULATED_ENDPOINT,
     ) -> None:
+        self.endpoints: dict[str, str] = {}
         self._feeds: dict[str, Feed] = {}  # by target
         by_endpoint: dict[str, list[MovingTarget]] = {}
         for target in targets:
@@ -54,9 +58,11 @@ class Sources:
                 case CsvSource():
                     self._feeds[target.name] = TimedFeed(_replayed(target), on_sighting, None)
                 case UdpSource(endpoint=endpoint):
+                    self.endpoints[target.name] = endpoint
                     self._feeds[target.name] = DatagramFeed(target, endpoint, on_sighting, on_refused)
                 case VehicleSource(endpoint=own):
-                    by_endpoint.setdefault(own or simulated_endpoint, []).append(target)
+                    self.endpoints[target.name] = own or simulated_endpoint
+                    by_endpoint.setdefault(self.endpoints[target.name], []).append(target)
         for endpoint, vehicles in by_endpoint.items():
             feed = VehicleFeed(vehicles, endpoint, on_sighting, on_refused)
             self._feeds |= {target.name: feed for target in vehicles}

@@ -6,6 +6,7 @@ Ticks have absolute deadlines; a late tick samples the motion at the time it rea
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol
 
@@ -21,6 +22,8 @@ from fg_gcs.record.recorder import Recorder
 from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
 
 Array = NDArray[np.float64]
+
+REMEMBERED = 100  # rounds of setpoints: a second or two of them, which is longer than anybody asks back
 
 
 class Wanted(NamedTuple):
@@ -120,6 +123,7 @@ class Streamer:
         self._engaged = [False] * len(fleet.vehicles)
         self._sent = asyncio.Event()
         self._due_s = -np.inf
+        self._rounds_s: deque[float] = deque(maxlen=REMEMBERED)  # when the last ones had left
 
     @property
     def due_s(self) -> float:
@@ -135,6 +139,10 @@ class Streamer:
         """Send these vehicles no more setpoints."""
         for row in rows:
             self._engaged[row] = False
+
+    def left_after(self, time_s: float) -> float | None:
+        """Return when the first round of setpoints after a loop time had left [s]; None if none has yet."""
+        return next((round_s for round_s in self._rounds_s if round_s > time_s), None)
 
     async def quiet_moment(self) -> None:
         """Wait until setpoints have just left: work done now delays none, if it ends before the next tick."""
@@ -177,6 +185,7 @@ class Streamer:
                 setpoint = Setpoint(positions[index], velocities[index], accelerations[index], headings[index])
                 router.send(system_id, pack_setpoint(setpoint, system_id, router.sender(system_id)))
                 record((time_s, system_id, *table[index], headings[index]))
+        self._rounds_s.append(asyncio.get_running_loop().time())
 
 
 def looking(plan: CheckedPlan, position_m: Array, velocity_m_s: Array, acceleration_m_s2: Array) -> Wanted:

@@ -6,6 +6,7 @@ import asyncio
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +28,10 @@ from fg_gcs.track.tracker import Tracker, Tracking
 Array = NDArray[np.float64]
 
 QUIET_S = 0.25  # without a sighting for so long the ride is planned anew all the same: what is unknown grows
-FIRST_USUAL_S = 0.005  # that planning takes, until it is known
-REMEMBERED = 20  # durations of planning: two seconds of ten sightings a second
+FIRST_USUAL_S = 0.002  # that a step of planning takes, until it is known
+REMEMBERED = 60  # durations of steps of planning: some twenty plans, or two seconds of ten sightings a second
+SPARE = 2.0  # times the usual duration of a step is what the next one may take
+LATE_S = 0.06  # a plan from where the formation was so long ago is a step of centimetres by now
 LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before everybody goes home for it
 TRUTH_S = 0.02  # between instants for which true positions are written down: the stream's usual period
 KEPT = frozenset({Verdict.TAKEN, Verdict.TENTATIVE})  # any other verdict is a refusal
@@ -38,9 +41,16 @@ class Status(NamedTuple):
     """What a person wants to know of the tracking now."""
 
     mode: Mode
+    targets: int  # how many there are
+    known: GroupEstimate | None  # of all targets together; None before any was seen
     error_m: float  # of the formation's centre, by the estimate; infinite before anything is known
-    age_s: float  # since a sighting was taken
-    refused: int  # sightings so far
+    growth: float  # size of the formation as a share of that at the start
+    rests: bool  # the formation has come to the end of its ride: it stands until there is another one
+    caught: bool  # the formation has been around the target
+    patience_s: float  # after so much more without a sighting, or without the capture, everybody goes home
+    sightings: int  # all that came so far
+    refused: dict[Verdict, int]
+    latency_s: float  # from the last sighting's stamp to when the first setpoint that it led to had left; NaN: none yet
 
 
 class Tracked(NamedTuple):
@@ -98,8 +108,12 @@ class Pursuit:
         self._ended_s: float | None = None
         self._began_s = self._taken_s = self._time()
         self._sighted_s = np.nan  # when the oldest sighting came that no ride was planned for yet
+        self._stamp_s = np.nan  # when what it says was true
+        self._told_s = (np.nan, np.nan)  # that of the newest one that a ride was planned for, and when that was done
+        self._latency_s = np.nan
         self._usual_s = deque([FIRST_USUAL_S], maxlen=REMEMBERED)
         self._planning_s: list[float] = []
+        self._late = 0
         self._count = 0
         self._refusals: Counter[Verdict] = Counter()
         self._modes: set[Mode] = set()
@@ -112,6 +126,8 @@ class Pursuit:
             LinkError: one is taken; none stays open.
         """
         await self._sources.open()
+        for name, endpoint in self._sources.endpoints.items():
+            self._journal.event("open", f"listening for {name} at {endpoint}")
 
     def begin(self, origin: Geodetic) -> None:
         """Track from now on, from rest in the start pose; the origin is that of the mission's frame."""
@@ -132,10 +148,9 @@ class Pursuit:
                 async with asyncio.timeout(QUIET_S):
                     await self._wake.wait()
             self._wake.clear()
-            if self._streamer.due_s - self._time() < max(self._usual_s):
-                await self._streamer.quiet_moment()
+            await self._gap()
             if self._tracker is not None and self._chase is not None and self._ended_s is None:
-                self._replan(self._tracker, self._chase)
+                await self._replan(self._tracker, self._chase)
 
     def stop(self) -> float:
         """Track no longer, and come to rest; return the loop's time at which everybody rests [s]."""
@@ -153,7 +168,7 @@ class Pursuit:
         if self._tracker is not None and self._ended_s is None:
             self._ended_s = self._time()
             self._write_truth(self._ended_s)
-            refused = ", ".join(f"{count} {verdict.name.lower()}" for verdict, count in self._refusals.items())
+            refused = ", ".join(f"{count} {said(verdict)}" for verdict, count in self._refusals.items())
             self._journal.event("track", f"{self._count} sightings, refused: {refused or 'none'}")
         self._sources.close()
 
@@ -173,8 +188,22 @@ class Pursuit:
         if self._tracker is None or self._ended_s is not None:
             return None
         now_s = self._time()
-        error_m = self._tracker.error_m(now_s)
-        return Status(self._tracker.replanner.mode, error_m, now_s - self._taken_s, self._refusals.total())
+        self._measure()
+        caught = self.caught_s is not None
+        uncaught_s = np.inf if caught else self._track.give_up_s - (now_s - self._began_s)
+        return Status(
+            self._tracker.replanner.mode,
+            len(self._names),
+            self._tracker.known(now_s),
+            self._tracker.error_m(now_s),
+            float(self._tracker.ride.frames(np.array([now_s])).scale[0]) / self._task.start.scale,
+            now_s >= self._tracker.ride.end_s,
+            caught,
+            min(self._patience_s(now_s), uncaught_s),
+            self._count,
+            dict(self._refusals),
+            self._latency_s,
+        )
 
     @property
     def tracked(self) -> Tracked | None:
@@ -188,16 +217,22 @@ class Pursuit:
     def hopeless(self) -> str | None:
         """Return why it makes no sense to go on, None if it does."""
         now_s, track = self._time(), self._track
-        silent_s = now_s - self._taken_s
-        if silent_s > track.give_up_s:
-            return f"no sightings for {track.give_up_s:g} s"
-        lost_s = track.lost_after_s + LOST_SPARE_S
-        if track.on_lost == "home" and self._taken_s > self._began_s and silent_s > lost_s:
-            return f"every target is lost: no sightings for {lost_s:g} s"
+        if self._patience_s(now_s) < 0.0:
+            if now_s - self._taken_s > track.give_up_s:
+                return f"no sightings for {track.give_up_s:g} s"
+            return f"every target is lost: no sightings for {track.lost_after_s + LOST_SPARE_S:g} s"
         if self.caught_s is None and now_s - self._began_s > track.give_up_s:
             faster = self._is_outrun(now_s)
             return "the target is faster than the vehicles" if faster else f"not caught within {track.give_up_s:g} s"
         return None
+
+    def _patience_s(self, now_s: float) -> float:
+        """Return how much longer nothing may be seen before everybody goes home [s]."""
+        track = self._track
+        seen = self._taken_s > self._began_s
+        soon = track.on_lost == "home" and seen
+        patience_s = min(track.give_up_s, track.lost_after_s + LOST_SPARE_S) if soon else track.give_up_s
+        return patience_s - (now_s - self._taken_s)
 
     # --- sightings -----------------------------------------------------------------------------------------------
 
@@ -215,7 +250,8 @@ class Pursuit:
             self._refuse(verdict, 1)
         elif verdict is Verdict.TAKEN:
             self._taken_s = now_s
-            self._sighted_s = now_s if np.isnan(self._sighted_s) else self._sighted_s
+            if np.isnan(self._sighted_s):
+                self._sighted_s, self._stamp_s = now_s, sighting.time_s
             self._wake.set()
 
     def _refused(self, verdict: Verdict, count: int) -> None:
@@ -226,34 +262,71 @@ class Pursuit:
     def _refuse(self, verdict: Verdict, count: int) -> None:
         """Count, and tell the first of a kind: a flood of them must not become a flood of lines."""
         if not self._refusals[verdict]:
-            self._journal.event("refused", f"sighting refused: {verdict.value}", reason=verdict.name.lower())
+            text = f"sighting refused ({said(verdict)}): {verdict.value}"
+            self._journal.event("refused", text, reason=verdict.name.lower())
         self._refusals[verdict] += count
 
     # --- planning ------------------------------------------------------------------------------------------------
 
-    def _replan(self, tracker: Tracker, chase: Chase) -> None:
+    async def _gap(self) -> None:
+        """Wait until the next step of planning fits in before the next setpoints."""
+        if self._streamer.due_s - self._time() < SPARE * median(self._usual_s):
+            await self._streamer.quiet_moment()
+
+    async def _planned(self, tracker: Tracker, now_s: float) -> Replan | None:
+        """Plan in the gaps between setpoints; None if it comes too late: then the present, proven ride goes on."""
+        begun_s = now_s
+        for replan in tracker.replanning(now_s):
+            self._usual_s.append(self._time() - begun_s)
+            if replan is not None:
+                return replan
+            await self._gap()
+            begun_s = self._time()
+            if self._ended_s is not None:
+                return None
+            if begun_s - now_s > LATE_S:
+                self._late += 1
+                if self._late == 1:
+                    self._journal.event("notice", f"planning took longer than {LATE_S:g} s; the present ride goes on")
+                return None
+        return None
+
+    async def _replan(self, tracker: Tracker, chase: Chase) -> None:
         now_s, began_s, was_caught = self._time(), self._stopwatch(), tracker.caught_s is not None
-        replan = tracker.replan(now_s)
         known = tracker.known(now_s)
-        if replan is None or known is None:  # nobody has been seen yet
+        if known is None:  # nobody has been seen yet
+            return
+        sighted_s, stamp_s = self._sighted_s, self._stamp_s
+        self._sighted_s = self._stamp_s = np.nan  # what comes from now on is for the next ride
+        replan = await self._planned(tracker, now_s)
+        if replan is None:
+            self._sighted_s, self._stamp_s = np.fmin(sighted_s, self._sighted_s), np.fmin(stamp_s, self._stamp_s)
             return
         chase.ride = replan.ride
         chase.look_at(now_s, known.position_enu_m, known.velocity_m_s)
         planned_s = self._time()
-        if self._streamer.due_s - self._sighted_s > self._streamer.period_s:  # it had to let a round pass already
+        self._measure()
+        if np.isfinite(sighted_s) and replan.taken:
+            self._told_s = stamp_s, planned_s
+        if self._streamer.due_s - sighted_s > self._streamer.period_s:  # it had to let a round pass already
             self._streamer.send_now()
         self._planning_s.append(self._stopwatch() - began_s)
-        self._usual_s.append(self._time() - now_s)
-        self._write(replan, known, (now_s, planned_s), tracker.error_m(now_s))
+        self._write(replan, known, (now_s, sighted_s, planned_s), tracker.error_m(now_s))
         self._tell(replan.mode, known)
         if not was_caught and tracker.caught_s is not None:
             self._journal.event("track", f"caught after {now_s - self._began_s:.1f} s")
 
-    def _write(self, replan: Replan, known: GroupEstimate, planned_s: tuple[float, float], error_m: float) -> None:
-        """Write a replan down that began and ended at loop times."""
+    def _measure(self) -> None:
+        """Find out when the first setpoint after the last ride left, once it has."""
+        stamp_s, planned_s = self._told_s
+        left_s = self._streamer.left_after(planned_s)
+        if left_s is not None:
+            self._latency_s, self._told_s = left_s - stamp_s, (np.nan, np.nan)
+
+    def _write(self, replan: Replan, known: GroupEstimate, times_s: tuple[float, ...], error_m: float) -> None:
+        """Write a replan down: when it began, when the sighting came that it is for, and when it was done."""
         recorder = self._journal.recorder
-        began_s, sighted_s, done_s = map(recorder.since_start_s, (planned_s[0], self._sighted_s, planned_s[1]))
-        self._sighted_s = np.nan
+        began_s, sighted_s, done_s = map(recorder.since_start_s, times_s)
         what = list(Mode).index(replan.mode), replan.taken
         estimate = *known.position_enu_m.tolist(), *known.velocity_m_s.tolist(), known.age_s, known.radius_m
         recorder.replans.append((began_s, sighted_s, done_s, *what, *estimate, error_m))
@@ -265,15 +338,15 @@ class Pursuit:
             self._journal.event("track", mode.value)
         for name in self._names:
             if (name in known.lost) != (name in self._lost):
-                self._journal.event("track", f"{name} is {'lost' if name in known.lost else 'seen again'}", target=name)
+                kind, what = ("notice", "lost") if name in known.lost else ("track", "seen again")
+                self._journal.event(kind, f"{name} is {what}", target=name)
         self._lost = known.lost
 
     def _is_outrun(self, now_s: float) -> bool:
         known = None if self._tracker is None else self._tracker.known(now_s)
         if self._tracker is None or known is None:
             return False
-        motion = known.position_enu_m, known.velocity_m_s, known.acceleration_m_s2
-        return self._tracker.replanner.chases(Goal(now_s, *motion, 1.0, self._settings.estimator.ease_s))
+        return self._tracker.replanner.chases(Goal(known.prediction, 1.0))
 
     def _write_truth(self, until_s: float) -> None:
         """Write down where the targets truly were, as far as anybody knows."""
@@ -285,6 +358,11 @@ class Pursuit:
         for row, at_s in enumerate(time_s.tolist()):
             for target, place in enumerate(truth[row].tolist()):
                 recorder.truth.append((recorder.since_start_s(at_s), target, *place))
+
+
+def said(verdict: Verdict) -> str:
+    """Return the short name of a reason, as people read it."""
+    return verdict.name.lower().replace("_", " ")
 
 
 def warm_up(mission: Mission) -> None:

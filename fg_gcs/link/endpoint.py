@@ -15,11 +15,22 @@ from fg_gcs.errors import LinkError
 Address = tuple[str, int]
 
 FORMS: Final = "udpin:HOST:PORT (vehicles come to us), udpout:HOST:PORT (we call first), tcp:HOST:PORT (we connect)"
+FIRST_PAUSE_S: Final = 0.5  # after a connection broke, before it is made again: SITL needs longer to start
+MOST_PAUSE_S: Final = 8.0  # pauses double up to here: whoever restarts a vehicle does not wait long for us to notice
+STEADY_S: Final = 10.0  # a connection that lived so long was a good one: the next pause is the first again
+CONNECT_S: Final = 5.0  # an attempt that a host leaves without any answer; the system itself would wait two minutes
 
 _PATTERN: Final = re.compile(r"(?P<kind>[a-z]+):(?://)?(?:(?P<host>[^:/\s]*):)?(?P<port>\d{1,5})/?", re.IGNORECASE)
 _LOCAL: Final = "127.0.0.1"
 _RECEIVE_BYTES: Final = 4 << 20  # nine vehicles send 3,300 datagrams a second; a planner may block the loop for one
 _TCP_QUEUE_BYTES: Final = 64 << 10  # a second of setpoints to 20 vehicles; older ones are worth nothing
+
+
+class Change(Enum):
+    """What becomes of a connection on the way, in words for people."""
+
+    LOST = "connection lost, connecting again"
+    BACK = "connected again"
 
 
 class Kind(Enum):
@@ -64,6 +75,10 @@ def parse_endpoint(text: str) -> Endpoint:
     return Endpoint(kind, match["host"] or _LOCAL, int(match["port"]))
 
 
+OnData = Callable[["Wire", Address, bytes], None]
+OnChange = Callable[["Wire", Change], None]
+
+
 class Wire(ABC):
     """One open endpoint: hands in bytes with the address they came from, takes bytes for an address; never raises.
 
@@ -71,10 +86,10 @@ class Wire(ABC):
         endpoint: What it was opened for.
         remote: The one partner of a connected endpoint, None for ``udpin``.
         dropped: Messages not sent because the way out is full or closed.
-        errors: Errors the system reported (a refused port, a broken connection).
+        errors: Errors the system reported (a refused port, a broken connection, a vain attempt at another).
     """
 
-    def __init__(self, endpoint: Endpoint, on_data: Callable[["Wire", Address, bytes], None]) -> None:
+    def __init__(self, endpoint: Endpoint, on_data: OnData) -> None:
         self.endpoint = endpoint
         self.remote: Address | None = None
         self.dropped = 0
@@ -132,57 +147,147 @@ class UdpWire(Wire, asyncio.DatagramProtocol):
         self._transport.close()
 
 
-class TcpWire(Wire, asyncio.Protocol):
-    """A TCP connection that we opened."""
+class _Stream(asyncio.Protocol):
+    """One TCP connection from its beginning to its end.
 
-    _transport: asyncio.Transport
-    _open = False
+    Args:
+        wire: Hears of all that happens.
+    """
+
+    def __init__(self, wire: "TcpWire") -> None:
+        self.transport: asyncio.Transport
+        self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._wire = wire
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take the transport (asyncio calls this)."""
-        self._transport = cast("asyncio.Transport", transport)
-        self._open = True
-        self.remote = (self.endpoint.host, self.endpoint.port)
+        self.transport = cast("asyncio.Transport", transport)
+        self._wire.connected(self)
 
     def data_received(self, data: bytes) -> None:
         """Hand in bytes (asyncio calls this)."""
-        self._on_data(self, (self.endpoint.host, self.endpoint.port), data)
+        self._wire.received(data)
+
+    def eof_received(self) -> None:
+        """End at once (asyncio calls this): whoever has stopped talking is not waited for to listen."""
+        self.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Count the end of the connection (asyncio calls this)."""
-        self.errors += self._open
-        self._open = False
+        """Tell of the end (asyncio calls this)."""
+        self.ended.set_result(None)
+        self._wire.disconnected(self)
+
+
+class TcpWire(Wire):
+    """A TCP connection that we open, and open again whenever it breaks: `open_wire` makes one.
+
+    Every connection begins with whole frames in both directions; what was under way in the one before is lost.
+    """
+
+    def __init__(self, endpoint: Endpoint, on_data: OnData, on_change: OnChange | None) -> None:
+        super().__init__(endpoint, on_data)
+        self.remote = (endpoint.host, endpoint.port)
+        self._on_change = on_change
+        self._stream: _Stream | None = None  # the present connection
+        self._broken = False  # there was one before
+        self._closed = False
+        self._keeper: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Connect, and stay connected from then on until `close`.
+
+        Raises:
+            OSError: Nobody listens, or nobody answers.
+            UnicodeError: No host can have this name.
+        """
+        self._keeper = asyncio.create_task(self._keep(await self._connect()), name=f"keep {self.endpoint}")
+
+    def connected(self, stream: _Stream) -> None:
+        """Take a connection that stands (the stream calls this)."""
+        self._stream = stream
+        if self._broken:
+            self._tell(Change.BACK)
+
+    def received(self, data: bytes) -> None:
+        """Hand in bytes (the stream calls this)."""
+        if not self._closed and self.remote is not None:
+            self._on_data(self, self.remote, data)
+
+    def disconnected(self, stream: _Stream) -> None:
+        """Take the end of a connection (the stream calls this)."""
+        if stream is self._stream:
+            self._stream, self._broken = None, True
+            self.errors += not self._closed
+            self._tell(Change.LOST)
 
     def send(self, data: bytes, address: Address) -> None:
-        """Send whole frames, unless too much is waiting already."""
-        if not self._open or self._transport.get_write_buffer_size() > _TCP_QUEUE_BYTES:
+        """Send whole frames, unless too much is waiting already or there is no connection now."""
+        transport = None if self._stream is None else self._stream.transport
+        if transport is None or transport.is_closing() or transport.get_write_buffer_size() > _TCP_QUEUE_BYTES:
             self.dropped += 1
         else:
-            self._transport.write(data)
+            transport.write(data)
 
     def close(self) -> None:
-        """Close the connection."""
-        self._open = False
-        self._transport.close()
+        """Close the connection, or give up one that is being made; may be called twice."""
+        self._closed = True
+        if self._keeper is not None:
+            self._keeper.cancel()
+        if self._stream is not None:
+            self._stream.transport.close()
+
+    def _tell(self, change: Change) -> None:
+        if self._on_change is not None and not self._closed:
+            self._on_change(self, change)
+
+    async def _connect(self) -> _Stream:
+        loop, (host, port) = asyncio.get_running_loop(), (self.endpoint.host, self.endpoint.port)
+        try:
+            async with asyncio.timeout(CONNECT_S):
+                return (await loop.create_connection(lambda: _Stream(self), host, port))[1]
+        except TimeoutError as error:
+            raise TimeoutError(errno.ETIMEDOUT, f"no answer within {CONNECT_S:g} s") from error
+
+    async def _keep(self, stream: _Stream) -> None:
+        """Wait for the end of every connection and make another, for ever: the wire's own task."""
+        loop, pause_s = asyncio.get_running_loop(), FIRST_PAUSE_S
+        while True:
+            began_s, ended = loop.time(), stream.ended
+            await ended
+            if loop.time() - began_s >= STEADY_S:
+                pause_s = FIRST_PAUSE_S
+            while stream.ended is ended:
+                await asyncio.sleep(pause_s)
+                pause_s = min(2.0 * pause_s, MOST_PAUSE_S)
+                try:
+                    stream = await self._connect()
+                except OSError:
+                    self.errors += 1
 
 
-async def open_wire(endpoint: Endpoint, on_data: Callable[[Wire, Address, bytes], None]) -> Wire:
+async def open_wire(endpoint: Endpoint, on_data: OnData, on_change: OnChange | None = None) -> Wire:
     """Open the socket of an endpoint.
+
+    A TCP connection that stood once is made again whenever it breaks, after pauses that double from `FIRST_PAUSE_S` up
+    to `MOST_PAUSE_S`; on the way nothing is raised, and what is sent meanwhile is dropped.
 
     No address is shared (SO_REUSEADDR, SO_REUSEPORT): a second ground station must not steal the first one's datagrams.
 
     Args:
         endpoint: What to open.
         on_data: Gets the wire, the sender's address and the bytes; must not raise.
+        on_change: Gets the wire and what became of its connection, before any bytes of a new one; must not raise.
 
     Raises:
-        LinkError: The port is taken, or nobody listens.
+        LinkError: The port is taken, nobody listens, or no host has that name.
     """
     loop = asyncio.get_running_loop()
     address = (endpoint.host, endpoint.port)
     try:
         if endpoint.kind is Kind.TCP:
-            return (await loop.create_connection(lambda: TcpWire(endpoint, on_data), *address))[1]
+            wire = TcpWire(endpoint, on_data, on_change)
+            await wire.open()
+            return wire
         local, remote = (address, None) if endpoint.kind is Kind.UDP_IN else (None, address)
         made = await loop.create_datagram_endpoint(
             lambda: UdpWire(endpoint, on_data), local_addr=local, remote_addr=remote
@@ -192,3 +297,5 @@ async def open_wire(endpoint: Endpoint, on_data: Callable[[Wire, Address, bytes]
         if error.errno == errno.EADDRINUSE:
             raise LinkError(f"{endpoint}: port {endpoint.port} is in use: another ground station?") from error
         raise LinkError(f"{endpoint}: {error.strerror or error}") from error
+    except UnicodeError as error:  # what the system's own encoding of host names refuses
+        raise LinkError(f"{endpoint}: no host has the name {endpoint.host!r}") from error

@@ -8,7 +8,7 @@ from enum import Enum
 from typing import Final, NamedTuple, Self
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Endpoint, Wire, open_wire
+from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.autopilots import manners_of
 from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, Sender, is_known
@@ -72,7 +72,7 @@ class Router:
 
     Attributes:
         vehicles: Every vehicle heard so far, by system id.
-        notices: Lines for people, such as two vehicles with one system id; each is said once.
+        notices: Lines for people, such as a lost connection, or two vehicles with one system id (said once).
     """
 
     def __init__(self, on_message: OnMessage | None = None, tap: Tap | None = None) -> None:
@@ -104,7 +104,7 @@ class Router:
         router = cls(on_message, tap)
         try:
             for endpoint in endpoints:
-                wire = await open_wire(endpoint, router._receive)
+                wire = await open_wire(endpoint, router._receive, router._changed)
                 router._wires.append(wire)
                 if wire.remote is not None:
                     router._peer(wire, wire.remote)
@@ -188,6 +188,13 @@ class Router:
         if peer is None and len(self._peers) < MOST_PEERS:
             peer = self._peers[key] = Peer(wire, address)
         return peer
+
+    def _changed(self, wire: Wire, change: Change) -> None:
+        """Tell people of a connection that broke or stands again; no message begins in one and ends in the next."""
+        self.notices.append(f"{wire.endpoint}: {change.value}")
+        for peer in self._peers.values():
+            if peer.wire is wire:
+                peer.codec.restart()
 
     def _receive(self, wire: Wire, address: Address, data: bytes) -> None:
         peer = self._peer(wire, address)

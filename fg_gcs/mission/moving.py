@@ -286,8 +286,12 @@ class MovingTarget(Table):
 class TrackTable(Table):
     """How moving targets are tracked."""
 
-    model: Literal["velocity", "acceleration"] = Field(
-        default="acceleration", description='what a target is believed to keep: "velocity" or "acceleration" (default)'
+    model: Literal["mixed", "velocity", "acceleration"] = Field(
+        default="mixed",
+        description=(
+            'what a target is believed to do: keep its "velocity"; have an "acceleration" that comes and fades; or '
+            '"mixed", that or steady turns, as the sightings say (default)'
+        ),
     )
     lost_after_s: Positive = Field(
         default=1.0, description="a target not seen for so long is lost, a number above 0 (default 1)"

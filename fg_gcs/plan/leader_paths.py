@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from fg_gcs.core.formation import Formation
 from fg_gcs.core.separation import closest_approach
 from fg_gcs.plan.free import LeaderPath
 from fg_gcs.plan.paths import Approach, PathPoint, SwarmPath, thinned
-from fg_gcs.plan.rigid_path import OUTLINED, ball_points
+from fg_gcs.plan.rigid_path import OUTLINED, attitudes_at, ball_points
+from fg_gcs.plan.splines import rotation_spline
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -49,7 +49,7 @@ class LeadersPath:
         # A path of one place has no length, but a spline needs two places for it
         support_m = self._knots_m if self.length_m > 0.0 else np.array([0.0, 1.0])
         self._centre = CubicSpline(support_m, centres[kept], bc_type="natural")
-        self._attitude = RotationSpline(support_m, Rotation.from_matrix(rotations[kept]))
+        self._attitude = (support_m, *rotation_spline(support_m, rotations[kept]))
         self._leaders = CubicSpline(support_m, slots[kept, : len(formation.leaders_m)], bc_type="natural")
         self._followers_m = slots[0, len(formation.leaders_m) :]
         self._slot_of = np.arange(slots.shape[1]) if slot_of is None else slot_of
@@ -85,9 +85,8 @@ class LeadersPath:
 
     def points_at(self, s_m: Array, followers_m: Array) -> PathPoint:
         """Return the leaders and any points that stand in their frame, shape (P, 3) [m; template], in this order."""
-        rotation = self._attitude(s_m).as_matrix()  # (S, 3, 3)
-        rate = np.einsum("sij,sj->si", rotation, self._attitude(s_m, 1))[:, None, :]  # from own axes to ENU
-        growth = np.einsum("sij,sj->si", rotation, self._attitude(s_m, 2))[:, None, :]
+        rotation, rates, growths = attitudes_at(np.asarray(s_m, dtype=float), *self._attitude)
+        rate, growth = rates[:, None, :], growths[:, None, :]
         arms = np.einsum("sij,svj->svi", rotation, self._slots(s_m, followers_m))
         bend = np.zeros_like(arms)
         second_bend = np.zeros_like(arms)

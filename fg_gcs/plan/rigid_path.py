@@ -141,17 +141,14 @@ def _rigid_points(
     the scale: ``q = c + k r``, ``q' = c' + k' r + k w x r``, ``q'' = c'' + k'' r + 2 k' w x r + k (w' x r + w x (w x
     r))``. All this is affine in the slot: it is worked out for the three axes, and every slot adds up its shares.
     """
-    places, vehicles, last = len(s_m), len(slots), len(knots) - 2
+    places, vehicles = len(s_m), len(slots)
     position = np.empty((places, vehicles, 3))
     first, second = np.empty((places, vehicles, 3)), np.empty((places, vehicles, 3))
     rotation, axes = np.empty((3, 3)), np.empty((3, 3))
     axes1, axes2 = np.empty((3, 3)), np.empty((3, 3))  # derivatives of the template's axes with their scale
     span = 0
     for i in range(places):
-        while span < last and s_m[i] >= knots[span + 1]:
-            span += 1
-        while span > 0 and s_m[i] < knots[span]:
-            span -= 1
+        span = _span(knots, span, s_m[i])
         c, c1, c2 = _polynomial(centres, span, s_m[i] - knots[span])
         f, f1, f2 = _polynomial(turns, span, s_m[i] - knots[span])
         w, g = _attitude(attitudes, span, f, f1, f2, rotation)
@@ -171,6 +168,35 @@ def _rigid_points(
         _place(c1, axes1, slots, i, first)
         _place(c2, axes2, slots, i, second)
     return position, first, second
+
+
+@njit(cache=True)
+def attitudes_at(s_m: Array, knots: Array, attitudes: Array, turns: Array) -> tuple[Array, Array, Array]:
+    """Return what a rotation spline is at S places, see :func:`fg_gcs.plan.splines.rotation_spline`.
+
+    Returns:
+        Attitudes, shape (S, 3, 3), turning rates and their growths in ENU, each (S, 3).
+    """
+    places = len(s_m)
+    rotations, rates, growths = np.empty((places, 3, 3)), np.empty((places, 3)), np.empty((places, 3))
+    span = 0
+    for i in range(places):
+        span = _span(knots, span, s_m[i])
+        f, f1, f2 = _polynomial(turns, span, s_m[i] - knots[span])
+        rate, growth = _attitude(attitudes, span, f, f1, f2, rotations[i])
+        for k in range(3):
+            rates[i, k], growths[i, k] = rate[k], growth[k]
+    return rotations, rates, growths
+
+
+@njit(cache=True)
+def _span(knots: Array, span: int, place: float) -> int:
+    """Return the span that a place is in, looked for from another one on."""
+    while span < len(knots) - 2 and place >= knots[span + 1]:
+        span += 1
+    while span > 0 and place < knots[span]:
+        span -= 1
+    return span
 
 
 @njit(cache=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,17 +53,29 @@ class Flown:
     airborne: tuple[NDArray[np.bool_], ...]
     error_m: tuple[Array, ...]  # distance from the setpoint; NaN outside the planned stages
 
+    def places_m(self, system_ids: Sequence[int]) -> Array | None:
+        """Return where these vehicles were, in this order, shape (T, N, 3) [m; ENU]; None unless all were heard."""
+        row_of = {int(system_id): row for row, system_id in enumerate(self.system_ids)}
+        rows = [row_of[system_id] for system_id in system_ids if system_id in row_of]
+        return self.position_m[:, rows] if len(rows) == len(system_ids) > 0 else None
+
 
 def flown(
-    telemetry: Columns, setpoints: Columns, stages: Mapping[str, tuple[float, float]], rim: Array, target: Whereabouts
+    telemetry: Columns,
+    setpoints: Columns,
+    stages: Mapping[str, tuple[float, float]],
+    leaders: Sequence[int],
+    target: Whereabouts,
 ) -> Flown | None:
     """Return the series of a flight, or None when the vehicles share no time in the tables.
+
+    Flux and coverage are NaN unless every leader was heard: a face without one of its corners is another face.
 
     Args:
         telemetry: columns of the telemetry table.
         setpoints: columns of the setpoint table.
         stages: begin and end of each stage of the flight [s].
-        rim: indices of the leaders in their winding order, shape (N,).
+        leaders: system ids in the rim's winding order; fewer than 3 span no face.
         target: what is surrounded.
     """
     ids = np.unique(telemetry["system_id"])
@@ -76,22 +88,25 @@ def flown(
         return None
     time_s = np.arange(begin, end, 1.0 / GRID_HZ)
     position = np.stack([interpolated(time_s, t["time_s"], t["position_enu_m"]) for t in tracks], axis=1)
-    whole_face = len(rim) >= 3 and max(rim, default=0) < len(ids)
-    rims = position[:, rim.astype(int)] if whole_face else None
     nothing = np.full(len(time_s), np.nan)
-    return Flown(
+    series = Flown(
         system_ids=ids,
         time_s=time_s,
         position_m=position,
         separation_m=smallest_over_time(position) if len(ids) > 1 else nothing,
-        flux_metric=nothing if rims is None else flux_metric(rims, target.at(time_s)),
-        coverage=nothing if rims is None else coverage(rims, target.at(time_s)),
+        flux_metric=nothing,
+        coverage=nothing,
         own_time_s=tuple(track["time_s"] for track in tracks),
         speed_m_s=tuple(np.linalg.norm(track["velocity_enu_m_s"], axis=1) for track in tracks),
         acceleration_m_s2=tuple(_acceleration(track) for track in tracks),
         airborne=tuple(track["height_m"] > AIRBORNE_M for track in tracks),
         error_m=tuple(_errors(track, _rows(setpoints, i), stages) for track, i in zip(tracks, ids, strict=True)),
     )
+    rims = series.places_m(leaders)
+    if rims is None or len(leaders) < 3:
+        return series
+    there = target.at(time_s)
+    return replace(series, flux_metric=flux_metric(rims, there), coverage=coverage(rims, there))
 
 
 def figures(
@@ -117,7 +132,7 @@ def figures(
         return result
     if "hold" in stages:
         holding = (series.time_s >= stages["hold"][0]) & (series.time_s <= stages["hold"][1])
-        if holding.any():
+        if holding.any() and np.isfinite(series.flux_metric[holding]).all():
             result["flown_flux_metric"] = float(series.flux_metric[holding].mean())
     errors = np.concatenate(series.error_m)
     planned = np.isfinite(errors)

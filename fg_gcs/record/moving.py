@@ -24,6 +24,7 @@ KEYS = (
     "centre_error_commanded_rms_m",
     "capture_time_s",
     "sensed_to_setpoint_p99_ms",
+    "stamp_to_setpoint_p99_ms",
     "commanded_position_step_max_m",
     "commanded_velocity_step_max_m_s",
     "flux_metric_share",
@@ -84,19 +85,28 @@ def held_places(rims_enu_m: Array, leaders_m: Array, hold_depth_m: float) -> Arr
     return places
 
 
-def flown_error(series: Flown, rim: Array, pursued: Pursued, target: Whereabouts) -> tuple[Array, Array]:
-    """Return instants of the tracking and how far the flown formation's centre was from its place then, (T,), (T,)."""
+def flown_error(
+    series: Flown, leaders: Sequence[int], pursued: Pursued, target: Whereabouts
+) -> tuple[Array, Array] | None:
+    """Return instants of the tracking and how far the flown formation's centre was from its place then, (T,), (T,).
+
+    None unless all leaders, system ids in their winding order, were heard.
+    """
+    rims = series.places_m(leaders)
+    if rims is None:
+        return None
     inside = (series.time_s >= pursued.began_s) & (series.time_s <= pursued.ended_s)
-    time_s = series.time_s[inside]
-    rims = series.position_m[inside][:, rim.astype(int)]
-    return time_s, _error(rims, time_s, pursued, target)
+    return series.time_s[inside], _error(rims[inside], series.time_s[inside], pursued, target)
 
 
-def commanded_error(setpoints: Columns, rim: Array, pursued: Pursued, target: Whereabouts) -> tuple[Array, Array]:
-    """Return the same of the setpoints."""
+def commanded_error(
+    setpoints: Columns, leaders: Sequence[int], pursued: Pursued, target: Whereabouts
+) -> tuple[Array, Array] | None:
+    """Return the same of the setpoints; None unless all leaders got some."""
     time_s = np.arange(pursued.began_s, pursued.ended_s, 1.0 / RATE_HZ)
-    ids = np.unique(setpoints["system_id"])[rim.astype(int)]
-    rows = [setpoints["system_id"] == i for i in ids]
+    rows = [setpoints["system_id"] == system_id for system_id in leaders]
+    if not rows or not all(row.any() for row in rows):
+        return None
     ways = [interpolated(time_s, setpoints["time_s"][row], setpoints["position_enu_m"][row]) for row in rows]
     return time_s, _error(np.stack(ways, axis=1), time_s, pursued, target)
 
@@ -115,12 +125,28 @@ def found_again(time_s: Array, error_m: Array, sightings: Columns, pursued: Purs
 
 def reaction_s(replans: Columns, setpoints: Columns) -> Array:
     """Return how long after a sighting's arrival the first setpoint of the ride planned for it left, one a ride."""
+    arrived, left = _reactions(replans, setpoints)
+    return left - arrived
+
+
+def latency_s(replans: Columns, setpoints: Columns, sightings: Columns) -> Array:
+    """Return the same from the sighting's stamp on, so with the sensor's own delay."""
+    arrived, left = _reactions(replans, setpoints)
+    taken = sightings["verdict"] == list(Verdict).index(Verdict.TAKEN)
+    stamps, arrivals = sightings["time_s"][taken], sightings["received_s"][taken]
+    which = np.searchsorted(arrivals, arrived)
+    known = which < len(stamps)
+    latency: Array = left[known] - stamps[which[known]]
+    return latency
+
+
+def _reactions(replans: Columns, setpoints: Columns) -> tuple[Array, Array]:
+    """Return when the first sighting that led to a ride came, and when its first setpoint left, one a ride."""
     waited = np.isfinite(replans["sighted_s"]) & (replans["taken"] > 0.0)
     sighted, planned = replans["sighted_s"][waited], replans["planned_s"][waited]
     after = np.searchsorted(setpoints["time_s"], planned, side="right")
     left = after < len(setpoints["time_s"])
-    reaction: Array = setpoints["time_s"][after[left]] - sighted[left]
-    return reaction
+    return sighted[left], setpoints["time_s"][after[left]]
 
 
 def commanded_steps(setpoints: Columns, span_s: tuple[float, float], acceleration_m_s2: float) -> tuple[float, float]:
@@ -148,13 +174,13 @@ def commanded_steps(setpoints: Columns, span_s: tuple[float, float], acceleratio
 
 
 def tracking_figures(
-    series: Flown | None, rim: Array, pursued: Pursued, tables: Mapping[str, Columns]
+    series: Flown | None, leaders: Sequence[int], pursued: Pursued, tables: Mapping[str, Columns]
 ) -> dict[str, object]:
     """Return the figures of the tracking by the names of the command line's JSON; None where there is nothing.
 
     Args:
         series: of the flight, with flux and coverage of the target as well as it is known.
-        rim: rows of the leaders in their winding order, shape (N,).
+        leaders: system ids in their winding order; figures of the formation need all of them.
         pursued: what it was about.
         tables: columns of the run's tables, by their names.
     """
@@ -163,13 +189,17 @@ def tracking_figures(
     reaction = reaction_s(tables["replans"], tables["setpoints"])
     if len(reaction):
         result["sensed_to_setpoint_p99_ms"] = 1e3 * float(np.percentile(reaction, 99))
+    latency = latency_s(tables["replans"], tables["setpoints"], tables["sightings"])
+    if len(latency):
+        result["stamp_to_setpoint_p99_ms"] = 1e3 * float(np.percentile(latency, 99))
     if pursued.caught_s is not None:
         result["capture_time_s"] = pursued.caught_s - pursued.began_s
     truth = true_centre(tables["truth"], pursued.weights)
     target = truth or estimated_centre(tables["replans"])
-    if series is None or target is None or not len(rim):
+    off = None if series is None or target is None else flown_error(series, leaders, pursued, target)
+    if series is None or off is None:
         return result
-    time_s, error = flown_error(series, rim, pursued, target)
+    time_s, error = off
     result["found_again_s"] = found_again(time_s, error, tables["sightings"], pursued)
     if pursued.caught_s is None:
         return result
@@ -180,10 +210,10 @@ def tracking_figures(
     if truth is not None and len(settled):
         result["centre_error_rms_m"] = float(np.sqrt((settled**2).mean()))
         result["centre_error_p95_m"] = float(np.percentile(settled, 95))
-        told_s, told = commanded_error(tables["setpoints"], rim, pursued, truth)
-        result["centre_error_commanded_rms_m"] = float(
-            np.sqrt((told[told_s >= pursued.caught_s + SETTLED_S] ** 2).mean())
-        )
+        commanded = commanded_error(tables["setpoints"], leaders, pursued, truth)
+        if commanded is not None:
+            told = commanded[1][commanded[0] >= pursued.caught_s + SETTLED_S]
+            result["centre_error_commanded_rms_m"] = float(np.sqrt((told**2).mean()))
     return result
 
 

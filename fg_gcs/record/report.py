@@ -215,7 +215,8 @@ def _tracking_figures(run: Run) -> Iterator[Row]:
         ("Smallest coverage on the way, once it faces the target", "coverage_min_after_facing", "", 3),
         ("Rides planned", "replans", "", 0),
         ("Planning one, 99 % of them in less than", "replan_p99_ms", "ms", 1),
-        ("From a sighting to its setpoint, 99 % in less than", "sensed_to_setpoint_p99_ms", "ms", 1),
+        ("From a sighting's arrival to its setpoint, 99 % in less than", "sensed_to_setpoint_p99_ms", "ms", 1),
+        ("From a sighting's stamp to its setpoint, 99 % in less than", "stamp_to_setpoint_p99_ms", "ms", 1),
         ("Sightings", "sightings", "", 0),
     ):
         yield _row(name, "", "", _text(run.number(key), unit, digits))

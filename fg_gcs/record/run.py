@@ -66,9 +66,9 @@ class Run:
         return {name: (span[0], span[1]) for name, span in self.summary.get("stages", {}).items()}
 
     @cached_property
-    def rim(self) -> NDArray[np.intp]:
-        """Rows of the leaders among the ascending system ids, in their winding order, shape (N,)."""
-        return np.array(self.summary.get("rim_rows") or [], dtype=np.intp)
+    def leaders(self) -> tuple[int, ...]:
+        """System ids of the leaders in their winding order, heard or not; empty when there was no plan."""
+        return tuple(int(system_id) for system_id in self.summary.get("leader_ids") or ())
 
     @cached_property
     def target_enu_m(self) -> Array | None:
@@ -111,13 +111,7 @@ class Run:
         """The flight's series, or None when there are too few samples for any."""
         standing = np.full(3, np.nan) if self.target_enu_m is None else self.target_enu_m
         target = self.true_target or self.estimated_target or Whereabouts.standing(standing)
-        return flown(self.telemetry, self.setpoints, self.stages, self.rim.astype(float), target)
-
-    @cached_property
-    def leaders(self) -> tuple[int, ...]:
-        """System ids of the leaders in their winding order; empty when there was no plan."""
-        ids = np.unique(self.telemetry["system_id"])
-        return tuple(int(ids[row]) for row in self.rim if row < len(ids))
+        return flown(self.telemetry, self.setpoints, self.stages, self.leaders, target)
 
     @cached_property
     def bands(self) -> tuple[Band, ...]:

@@ -154,12 +154,13 @@ def _add_faces(figure: go.Figure, run: Run) -> None:
         moments = [begin_s, (begin_s + end_s) / 2.0]
     if "hold" in run.stages:
         moments.append(sum(run.stages["hold"]) / 2.0)
-    if series is None or len(run.rim) < 3 or run.rim.max() >= len(series.system_ids):
+    rims = None if series is None else series.places_m(run.leaders)
+    if series is None or rims is None or len(run.leaders) < 3:
         return
     faces = []
     for moment in moments:
         if series.time_s[0] <= moment <= series.time_s[-1]:
-            rim = series.position_m[np.abs(series.time_s - moment).argmin(), run.rim]
+            rim = rims[np.abs(series.time_s - moment).argmin()]
             faces.append(np.concatenate((rim, rim[:1])))
             count = len(rim)
             fan = {"i": [count] * count, "j": list(range(count)), "k": [*range(1, count), 0]}

@@ -26,9 +26,10 @@ def centre_chart(run: Run) -> go.Figure | None:
     if pursued is None or not len(replans["time_s"]):
         return None
     chart = empty_chart(run, "distance from the target's place [m]")
-    if run.true_target is not None and run.series is not None and len(run.rim):
-        time_s, error = flown_error(run.series, run.rim.astype(float), pursued, run.true_target)
-        add_line(chart, time_s, np.maximum(error, LEAST_M), "flown, true target", INK, "m")
+    if run.true_target is not None and run.series is not None:
+        off = flown_error(run.series, run.leaders, pursued, run.true_target)
+        if off is not None:
+            add_line(chart, off[0], np.maximum(off[1], LEAST_M), "flown, true target", INK, "m")
     modes = replans["mode"].astype(int)
     for index, mode in enumerate(Mode):
         if (modes == index).any():

@@ -1,6 +1,6 @@
 """Where a moving target is, how fast it goes and how sure that is, from noisy, late and unordered sightings.
 
-A Kalman filter along stamps, not arrivals [BarShalom2001]_: every sighting of the last seconds is kept together with
+Kalman filters along stamps, not arrivals [BarShalom2001]_: every sighting of the last seconds is kept together with
 what was known after it, so that a late one is put in its place and the newer ones are looked at again. The result is
 the same whatever the order of arrival. One rule begins tracks and ends wrong ones: sightings that do not belong to the
 track are held, and as soon as enough of them agree with each other, the track begins anew from those. So neither a wild
@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from fg_gcs.errors import PlanError
-from fg_gcs.track.kalman import FLOOR_M2, Dynamics, predict, update
+from fg_gcs.track.kalman import FLOOR_M2, Dynamics
+from fg_gcs.track.mixture import Belief, Prediction, carried_on, changes, filtered, merged
 from fg_gcs.track.sightings import Sighting, Verdict
 
 Array = NDArray[np.float64]
 
-Model = Literal["velocity", "acceleration"]
+Model = Literal["mixed", "velocity", "acceleration"]
 
 MOST_M2 = 1e8  # a deviation of 10 km says nothing about where a target is
 OLDEST_S = 60.0  # no news of a minute ago says where a target is now
@@ -39,14 +40,19 @@ ASYMMETRY = 1e-9  # of the largest entry: more than rounding, and a matrix is no
 class Settings:
     """How a target is believed to move, and which sightings of it are believed.
 
-    The process noise was chosen for targets of up to 5 m/s and 1.5 m/s^2, seen ten times a second to half a metre; it
-    lies below those accelerations because they last: a filter that follows turns more closely follows noise, too.
+    The model "mixed" believes in steady turns as long as the sightings do, and else in accelerations that come and
+    fade. The process noise was chosen for targets of up to 5 m/s and 1.5 m/s^2, seen ten times a second to half a
+    metre; it lies below those accelerations because they last: a filter that follows turns more closely follows noise,
+    too.
     """
 
-    model: Model = "acceleration"  # or "velocity": white noise drives it, for targets seldom or badly seen
-    acceleration_m_s2: float = 0.3  # standard deviation of the acceleration, for the model "acceleration"
-    ease_s: float = 4.0  # time constant by which an acceleration fades, for the model "acceleration" [Singer1970]_
+    model: Model = "mixed"  # or one alone: "acceleration", "velocity" (for targets seldom or badly seen)
+    acceleration_m_s2: float = 0.3  # standard deviation of an acceleration that fades [Singer1970]_
+    ease_s: float = 4.0  # time constant by which it fades
     density_m2_s3: float = 0.3  # of the white acceleration, for the model "velocity"
+    turning_m2_s5: float = 5e-4  # density of what changes a steady turn, for the model "mixed" [BestNorton1997]_
+    steady_s: float = 30.0  # mean time for which a target turns steadily, for the model "mixed"
+    unsteady_s: float = 10.0  # mean time for which it does not
     confidence: float = 0.999  # share of the right sightings that pass the gate
     top_speed_m_s: float = 15.0  # no target is faster: bounds how far apart two sightings of one may be
     agreeing_first: int = 3  # sightings that must agree with each other before there is an estimate
@@ -74,11 +80,13 @@ class Settings:
             raise PlanError("centre_enu_m must be three finite numbers")
 
     @property
-    def dynamics(self) -> Dynamics:
-        """The model's numbers."""
+    def dynamics(self) -> tuple[Dynamics, ...]:
+        """The numbers of each model that is mixed, all of one order."""
         if self.model == "velocity":
-            return Dynamics(2, self.density_m2_s3, math.inf)
-        return Dynamics(3, 2.0 * self.acceleration_m_s2**2 / self.ease_s, self.ease_s)
+            return (Dynamics(2, self.density_m2_s3, math.inf),)
+        fading = Dynamics(3, 2.0 * self.acceleration_m_s2**2 / self.ease_s, self.ease_s, self.unsteady_s)
+        steady = Dynamics(3, self.turning_m2_s5, math.inf, self.steady_s)
+        return (steady, fading) if self.model == "mixed" else (fading,)
 
 
 class Estimate(NamedTuple):
@@ -90,26 +98,42 @@ class Estimate(NamedTuple):
     acceleration_m_s2: Array  # (3,) [m/s^2; ENU]; zeros in the model "velocity"
     covariance: Array  # (6, 6) or (9, 9), in blocks of three: position, velocity and, in the larger one, acceleration
     age_s: float  # since the newest sighting taken
-    dynamics: Dynamics
+    belief: Belief  # of each model that is mixed, at the same time
+    dynamics: tuple[Dynamics, ...]
+
+    @classmethod
+    def of(cls, time_s: float, belief: Belief, age_s: float, dynamics: tuple[Dynamics, ...]) -> Estimate:
+        """Return what a belief of that age amounts to."""
+        doubts = belief.weights @ changes(_leaving(dynamics), age_s)
+        mean, covariance = merged(belief.weights, doubts, belief.means, belief.covariances)
+        acceleration = mean[2] if len(mean) == 3 else np.zeros(3)
+        return cls(time_s, mean[0], mean[1], acceleration, covariance, age_s, belief, dynamics)
 
     def predicted(self, time_s: float) -> Estimate:
         """Return what that says of a later time; an estimate is not carried back, so an earlier time returns itself.
 
-        Accelerations fade [Singer1970]_, so that the speed stays bounded; the covariance goes on growing.
+        Accelerations fade or turn, so that the speed stays bounded; the covariance goes on growing.
         """
         step_s = max(time_s - self.time_s, 0.0)
-        rows = (self.position_enu_m, self.velocity_m_s, self.acceleration_m_s2)
-        mean = np.stack(rows[: self.dynamics.order])
-        mean, covariance = predict(mean, self.covariance, step_s, *self.dynamics[1:])
-        return _made(self.time_s + step_s, mean, covariance, self.age_s + step_s, self.dynamics)
+        return Estimate.of(
+            self.time_s + step_s, _later(self.belief, self.dynamics, step_s), self.age_s + step_s, self.dynamics
+        )
+
+    @property
+    def prediction(self) -> Prediction:
+        """Where the target goes from here."""
+        weights, means, _, rates = self.belief
+        whole = np.zeros((len(means), 3, 3))
+        whole[:, : means.shape[1]] = means
+        eases = np.array([each.ease_s if each.order == 3 else 1.0 for each in self.dynamics])
+        return Prediction(self.time_s, weights, whole, eases, rates)
 
 
 class _Track(NamedTuple):
-    """The filter after a sighting; mean (order, 3) and covariance (3 order, 3 order), orders outermost."""
+    """The filter after a sighting."""
 
     time_s: float
-    mean: Array
-    covariance: Array
+    belief: Belief
 
 
 class _State(NamedTuple):
@@ -138,6 +162,7 @@ class Estimator:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._dynamics = settings.dynamics
+        self._models, self._leaving = _models(self._dynamics), _leaving(self._dynamics)
         self._gate = float(chi2.ppf(settings.confidence, df=3))
         self._before = _State(None, ())  # what was known before the history
         self._history: list[_Seen] = []
@@ -176,8 +201,7 @@ class Estimator:
         if track is None or track.time_s > time_s:
             return None
         step_s = time_s - track.time_s
-        mean, covariance = predict(track.mean, track.covariance, step_s, *self._dynamics[1:])
-        return _made(time_s, mean, covariance, step_s, self._dynamics)
+        return Estimate.of(time_s, _later(track.belief, self._dynamics, step_s), step_s, self._dynamics)
 
     def lost(self, now_s: float) -> bool:
         """Say whether nothing was seen of the target for too long; a lost one is still predicted."""
@@ -248,9 +272,9 @@ class Estimator:
     def _filtered(self, track: _Track, sighting: Sighting) -> tuple[_Track, float]:
         """Return the track updated by a sighting, and the sighting's squared Mahalanobis distance from it."""
         step_s = sighting.time_s - track.time_s
-        mean, covariance = predict(track.mean, track.covariance, step_s, *self._dynamics[1:])
-        distance = update(mean, covariance, sighting.position_enu_m, sighting.covariance_m2)
-        return _Track(sighting.time_s, mean, covariance), distance
+        seen = sighting.position_enu_m, sighting.covariance_m2
+        *belief, distance = filtered(*track.belief[:3], self._models, self._leaving, step_s, *seen)
+        return _Track(sighting.time_s, Belief(*belief)), distance
 
     def _agreeing(self, held: Sequence[Sighting], sighting: Sighting) -> list[Sighting]:
         """Return the sighting and those held that agree with it and each other, in the order of stamps."""
@@ -268,22 +292,36 @@ class Estimator:
 
     def _begun(self, agreeing: Sequence[Sighting]) -> _Track:
         """Return the track of sightings that agree, from standing still, not known better than the top speed."""
-        first, order = agreeing[0], self._dynamics.order
+        first, count, order = agreeing[0], len(self._dynamics), self._dynamics[0].order
         mean = np.zeros((order, 3))
         mean[0] = first.position_enu_m
         covariance = np.zeros((3 * order, 3 * order))
         covariance[:3, :3] = first.covariance_m2 + FLOOR_M2 * np.eye(3)
         covariance[3:6, 3:6] = (0.5 * self._settings.top_speed_m_s) ** 2 * np.eye(3)
         covariance[6:, 6:] = self._settings.acceleration_m_s2**2 * np.eye(3 * (order - 2))
-        track = _Track(first.time_s, mean, covariance)
+        lasting = np.array([each.lasts_s for each in self._dynamics]) if count > 1 else np.ones(1)
+        weights = lasting / lasting.sum()  # nothing is known yet: each as likely as it lasts
+        belief = Belief(weights, np.stack([mean] * count), np.stack([covariance] * count), np.zeros(count))
+        track = _Track(first.time_s, belief)
         for sighting in agreeing[1:]:
             track, _ = self._filtered(track, sighting)
         return track
 
 
-def _made(time_s: float, mean: Array, covariance: Array, age_s: float, dynamics: Dynamics) -> Estimate:
-    acceleration = mean[2] if dynamics.order == 3 else np.zeros(3)
-    return Estimate(time_s, mean[0], mean[1], acceleration, covariance, age_s, dynamics)
+def _later(belief: Belief, dynamics: tuple[Dynamics, ...], step_s: float) -> Belief:
+    """Return a belief a step later, without anything seen."""
+    means, covariances = carried_on(belief.means, belief.covariances, belief.rates_rad_s, _models(dynamics), step_s)
+    return belief._replace(means=means, covariances=covariances)
+
+
+def _models(dynamics: tuple[Dynamics, ...]) -> Array:
+    """Densities and time constants, shape (B, 2)."""
+    return np.array([(each.density, each.ease_s) for each in dynamics])
+
+
+def _leaving(dynamics: tuple[Dynamics, ...]) -> Array:
+    """How often a target leaves each model for the other, shape (B,) [1/s]."""
+    return np.array([1.0 / each.lasts_s for each in dynamics])
 
 
 def _is_covariance(matrix: Array) -> bool:

@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 
 ROOM, SPARE_M_S = 1.01, 0.01  # a goal right on a bound has no way to it
 SHORTEST_S = 1e-9  # phases shorter than this are none
+# Where a polynomial of fifth degree is looked at: between two of these its acceleration bends by 0.3 % of its largest,
+# and right at its ends its jerk is the largest or the smallest
+SHOWN = np.array([1e-3, *(np.arange(1, 32) / 32), 1.0 - 1e-3])
 
 
 class Bounds(NamedTuple):
@@ -48,6 +51,7 @@ class Joints:
         # Each joint's phases: from when on it counts, its start, and a polynomial's powers from there, lowest first
         self._phases = [[(-np.inf, start_s, *_straight(*state))] for state in self._end.T.tolist()]
         self._table: Array | None = None
+        self._shown_s: list[float] = []
 
     @property
     def end(self) -> Array:
@@ -56,8 +60,8 @@ class Joints:
 
     @property
     def seams_s(self) -> Array:
-        """Times at which the jerk of any joint changes: between them accelerations are straight lines [s]."""
-        return np.unique([phase[1] for phases in self._phases for phase in phases])
+        """Times between which accelerations are straight lines, or hardly bend [s]."""
+        return np.unique([*self._shown_s, *[phase[1] for phases in self._phases for phase in phases]])
 
     def at(self, time_s: Array) -> Array:
         """Return the states at times, shape (T,) [s]; (T, 3, D)."""
@@ -85,6 +89,7 @@ class Joints:
         powers = np.stack((start[0], start[1], 0.5 * start[2], cubic, quartic, quintic), axis=1)
         for phases, row in zip(self._phases, powers.tolist(), strict=True):
             phases.append((self.end_s, self.end_s, *row))
+        self._shown_s += (self.end_s + t * SHOWN).tolist()
         self._end = np.array(goal, dtype=float)
         self.end_s, self._table = self.end_s + t, None
         return 6.0 * float(np.linalg.norm(cubic))

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from fg_gcs.errors import PlanError
 from fg_gcs.track.estimator import Estimate
+from fg_gcs.track.mixture import Prediction
 
 Array = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ class GroupEstimate(NamedTuple):
     time_s: float  # [s of the flight's clock]
     position_enu_m: Array  # (3,) of the centre of charge [m; ENU]
     velocity_m_s: Array  # (3,) of the centre [m/s; ENU]
-    acceleration_m_s2: Array  # (3,) of the centre [m/s^2; ENU]
+    prediction: Prediction  # of the centre
     radius_m: float  # of the ball around the centre that holds the targets; 0 for one target that is seen [m]
     age_s: float  # of the oldest of the newest sightings
     lost: tuple[str, ...]  # targets not seen for too long, predicted only
@@ -92,7 +93,7 @@ class Group:
             time_s,
             centre,
             shares @ np.stack([each.velocity_m_s for each in seen.values()]),
-            shares @ np.stack([each.acceleration_m_s2 for each in seen.values()]),
+            Prediction.centre(shares.tolist(), [each.prediction for each in seen.values()]),
             min(radius_m, self._most_radius_m),
             max(each.age_s for each in seen.values()),
             lost,

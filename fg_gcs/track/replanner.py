@@ -8,6 +8,7 @@ taken, from its start to the rest that it ends in; when none holds, the present 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.rigid_path import outline_of
 from fg_gcs.track.follow import Bounds, Joints
 from fg_gcs.track.frames import State
+from fg_gcs.track.mixture import Prediction
 from fg_gcs.track.ride import Ride, prove
 
 Array = NDArray[np.float64]
@@ -30,6 +32,8 @@ Shares = tuple[float, float, float]
 
 JERK_M_S3 = 12.0  # where the mission states none: from rest to 5 m/s^2 within half a second
 FACING = 0.9  # cosine between normal and target below which the face turns first and moves then
+CLOSEST_M = 0.1  # as if a vehicle were so far from the centre: a swarm on one spot may spin
+SWING = 0.1  # angle by which a turn may swing on while the formation moves [rad]: a faster one ends on the spot
 BESIDE_RADII = 4.0  # nearer than this many radii there is no time to turn first
 FASTEST = 0.9  # share of the vehicles' speed that a target may have to be followed at its own
 HORIZON_S = 8.0  # nobody knows where a target will be later than this
@@ -62,37 +66,27 @@ FAR_RADII = 1.5  # beyond this many radii the way to the target has a direction
 GAP_M_S = 2.0  # nearer, a change of velocity above this has one
 ALONG = ((1.0, 0.5, 0.5), (0.9, 0.5, 0.5))  # shares of three axes in speed and in acceleration, where one leads
 ACROSS = ((1.0, 1.0, 1.0), (0.65, 0.65, 0.65))  # and where none does: all three may brake at once
-GENTLY, SPARE = 0.22, 1.3  # share of the limits for braking on a long way, and how much more than needed
+GENTLY_M_S2, SPARE = 0.8, 1.3  # for braking on a long way, and how much more than needed
+JERKED = 0.95  # share of the jerk limit that a move's three axes and a turn may take together
 
 
 class Goal(NamedTuple):
     """What to surround, as it is known."""
 
-    time_s: float  # when it is there [s of the flight's clock]
-    position_enu_m: Array  # (3,) [m; ENU]
-    velocity_m_s: Array  # (3,)
-    acceleration_m_s2: Array  # (3,)
+    prediction: Prediction
     scale: float  # that the formation needs around it
-    ease_s: float  # time constant by which the acceleration is believed to fade [s]
 
     def at(self, time_s: float) -> Array:
-        """Return position, velocity and acceleration predicted for a time, shape (3, 3).
-
-        The acceleration fades exponentially, so that nothing is predicted to run away [Singer1970]_.
-        """
-        passed, tau = time_s - self.time_s, self.ease_s
-        left = float(np.exp(-max(passed, 0.0) / tau))
-        a = self.acceleration_m_s2
-        velocity = self.velocity_m_s + tau * (1.0 - left) * a
-        position = self.position_enu_m + passed * self.velocity_m_s + tau * (passed - tau * (1.0 - left)) * a
-        return np.stack((position, velocity, left * a))
+        """Return position, velocity and acceleration predicted for a time, shape (3, 3)."""
+        return self.prediction.at(time_s)
 
     def slowed(self, speed_m_s: float) -> Goal:
         """Return the same target, believed to be no faster than that [m/s]."""
-        speed = float(np.linalg.norm(self.velocity_m_s))
+        now = self.at(self.prediction.time_s)
+        speed = float(np.linalg.norm(now[1]))
         if speed <= speed_m_s:
             return self
-        return self._replace(velocity_m_s=speed_m_s / speed * self.velocity_m_s, acceleration_m_s2=np.zeros(3))
+        return self._replace(prediction=Prediction.straight(self.prediction.time_s, now[0], speed_m_s / speed * now[1]))
 
 
 class Mode(Enum):
@@ -142,29 +136,43 @@ class Replanner:
 
     def chases(self, goal: Goal) -> bool:
         """Say whether the target is faster than the formation can follow."""
-        return float(np.linalg.norm(goal.velocity_m_s)) > FASTEST * self._swarm.rules.limits.speed_m_s
+        return float(np.linalg.norm(goal.at(goal.prediction.time_s)[1])) > FASTEST * self._swarm.rules.limits.speed_m_s
 
     def look(self, goal: Goal, now_s: float) -> Replan:
         """Take the best new ride from ``now_s`` on, if there is one.
 
         A target that is faster than the formation may be is chased: aimed at as if it were just as fast.
         """
+        return next(replan for replan in self.looking(goal, now_s) if replan is not None)
+
+    def looking(self, goal: Goal, now_s: float) -> Iterator[Replan | None]:
+        """Do the same in steps: yield None after each that led to nothing yet, and what it led to in the end.
+
+        Nothing has changed before that, so it may be given up at any step.
+        """
         goal = goal.slowed(FASTEST * self._swarm.rules.limits.speed_m_s)
         state = self.ride.state(now_s)
         attitude = self._guided(state, goal.at(now_s)[0])
         if self.mode is not Mode.FOLLOW and not self._facing(state, goal.at(now_s)[0]):
+            yield None
             ride = self._stopped(state, attitude, goal.scale, now_s)
-            return self._taken(ride, Mode.TURN)
+            yield self._taken(ride, Mode.TURN)
+            return
         for takes_s in SMOOTH_S:
+            yield None
             ride = self._joined(state, attitude, goal, now_s, takes_s, SHORTLY_S)
             if ride is not None and self._holds(ride):
+                yield None
                 longer = self._joined(state, attitude, goal, now_s, takes_s, RUN_ON_S)
-                return self._taken(longer if longer is not None and self._holds(longer) else ride, Mode.FOLLOW)
-        for effort in EFFORTS:
+                yield self._taken(longer if longer is not None and self._holds(longer) else ride, Mode.FOLLOW)
+                return
+        for effort in dict.fromkeys((*(self._swinging(state, each) for each in EFFORTS), *EFFORTS)):
+            yield None
             ride = self._met(state, attitude, goal, now_s, effort)
             if ride is not None and self._holds(ride):
-                return self._taken(ride, Mode.APPROACH)
-        return self._taken(None, self.mode)
+                yield self._taken(ride, Mode.APPROACH)
+                return
+        yield self._taken(None, self.mode)
 
     def wait(self, scale: float, now_s: float) -> Replan:
         """Come to rest where the present ride does, and change the formation's size there."""
@@ -195,8 +203,11 @@ class Replanner:
     def _facing(self, state: State, target_m: Array) -> bool:
         way = target_m - state.joints[0, :3]
         distance = float(np.linalg.norm(way))
-        near_m = BESIDE_RADII * self._reach_m * state.joints[0, 6]
-        return distance < near_m or float(way @ state.attitude[:, 0]) > FACING * distance
+        radius_m = self._reach_m * float(state.joints[0, 6])
+        push = EFFORTS[0].turn * self._swarm.rules.limits.acceleration_m_s2 / max(radius_m, CLOSEST_M)
+        swings = float((state.joints[1, 3:6] ** 2).sum()) > 2.0 * push * SWING
+        faces = float(way @ state.attitude[:, 0]) > FACING * distance
+        return distance < BESIDE_RADII * radius_m or (faces and not (swings and self.mode is Mode.TURN))
 
     def _stopped(self, state: State, attitude: Array, scale: float, now_s: float) -> Ride | None:
         """Return a ride that brakes to rest and takes up attitude and scale, if one holds."""
@@ -204,7 +215,7 @@ class Replanner:
         for effort in ON_THE_SPOT:
             moving = Joints(now_s, state.joints[:, :3] @ axes)
             turning = self._turning(state, attitude, scale, now_s, effort.turn, 0.0)
-            if turning is not None and moving.to_velocity(np.zeros(3), self._bounds(axes, effort.move, ALONG)):
+            if turning is not None and moving.to_velocity(np.zeros(3), self._bounds(axes, effort, ALONG)):
                 ride = Ride(state.attitude, moving, turning, axes)
                 if self._holds(ride):
                     return ride
@@ -218,10 +229,10 @@ class Replanner:
         met = self._within(goal.at(now_s + takes_s), hold_m, goal.scale)
         if np.linalg.norm(met[0] - state.joints[0, :3]) > takes_s * self._swarm.rules.limits.speed_m_s:
             return None  # too far for anybody
-        axes = np.eye(3)
-        bounds = self._bounds(axes, JOINED.move, ACROSS)
+        axes, effort = np.eye(3), self._swinging(state, JOINED)
+        bounds = self._bounds(axes, effort, ACROSS)
         moving = Joints(now_s, state.joints[:, :3])
-        turning = self._turning(state, attitude, goal.scale, now_s, JOINED.turn, TURN_S)
+        turning = self._turning(state, attitude, goal.scale, now_s, effort.turn, TURN_S)
         if moving.smoothly(met, takes_s) > self._swarm.rules.limits.jerk_m_s3:
             return None
         while moving.end_s < now_s + run_on_s:  # along the prediction, piece by piece
@@ -236,7 +247,7 @@ class Replanner:
         """Return a ride that meets the target, goes on with it for a while and brakes."""
         hold_m = self._swarm.hold_depth_m * attitude[:, 0]
         axes, shares, gently = self._directions(state, goal, hold_m, now_s)
-        bounds = self._bounds(axes, effort.move, shares)
+        bounds = self._bounds(axes, effort, shares)
         bounds.lowest_acceleration[0] *= gently
         turning = self._turning(state, attitude, goal.scale, now_s, effort.turn, TURN_S)
         if turning is None:
@@ -277,16 +288,22 @@ class Replanner:
             axes = _axes(way)
             closing_m_s = max(float(-change @ axes[:, 0]), 0.0)
             needed = closing_m_s**2 / (2.0 * distance_m)
-            return axes, ALONG, min(max(GENTLY, needed / hardest * SPARE), 1.0)
+            return axes, ALONG, min(max(GENTLY_M_S2, SPARE * needed) / hardest, 1.0)
         if gap_m_s > GAP_M_S:
             return _axes(change), ALONG, 1.0
         return np.eye(3), ACROSS, 1.0
+
+    def _swinging(self, state: State, effort: Effort) -> Effort:
+        """Return an effort that turns at least as hard as the formation does now: or the turn would swing past."""
+        arm_m = max(self._reach_m * float(state.joints[0, 6]), CLOSEST_M)
+        present = float(np.linalg.norm(state.joints[2, 3:6])) * arm_m / self._swarm.rules.limits.acceleration_m_s2
+        return effort._replace(turn=max(effort.turn, min(present, ON_THE_SPOT[0].turn)))
 
     def _turning(
         self, state: State, attitude: Array, scale: float, now_s: float, share: float, least_s: float
     ) -> Joints | None:
         """Return the joints that take up attitude and scale as fast as their share of the limits allows."""
-        arm_m = max(self._reach_m * max(float(state.joints[0, 6]), scale), 0.1)  # a swarm on one spot may spin
+        arm_m = max(self._reach_m * max(float(state.joints[0, 6]), scale), CLOSEST_M)
         limits = self._swarm.rules.limits
         per_joint = np.array([share / arm_m] * 3 + [GROWTH / self._reach_m])
         speed, jerk = limits.speed_m_s * per_joint, self._jerk_m_s3 * per_joint
@@ -298,13 +315,14 @@ class Replanner:
         bounds = Bounds(-speed, speed, -push, push, jerk)
         return turning if turning.to(goal, bounds, least_s) else None
 
-    def _bounds(self, axes: Array, share: float, per_axis: tuple[Shares, Shares]) -> Bounds:
+    def _bounds(self, axes: Array, effort: Effort, per_axis: tuple[Shares, Shares]) -> Bounds:
         """Bounds of the centre along its axes, the first the main one; the proof has the last word.
 
         An axis that leads up or down is no faster than climb or descent allow.
         """
-        limits = self._swarm.rules.limits
+        limits, share = self._swarm.rules.limits, effort.move
         shares, pushes = share * np.array(per_axis)
+        left = max(JERKED - np.sqrt(3.0) * effort.turn, 0.1) / np.linalg.norm(pushes)  # turns have three axes, too
         rise = np.maximum(np.abs(axes[2]), 1e-9)
         up, down = (share * limit / rise for limit in (limits.climb_m_s, limits.descent_m_s))
         upwards = axes[2] > 0.0
@@ -312,14 +330,17 @@ class Replanner:
         highest = np.minimum(speed, np.where(upwards, up, down))
         lowest = -np.minimum(speed, np.where(upwards, down, up))
         push = limits.acceleration_m_s2 * pushes
-        return Bounds(lowest, highest, -push, push, self._jerk_m_s3 * pushes)
+        return Bounds(lowest, highest, -push, push, self._jerk_m_s3 * pushes * min(left, 1.0))
 
     def _within(self, states: Array, hold_m: Array, scale: float) -> Array:
-        """Return the centre's states for a target's, (3, 3), so that the formation fits into the fence."""
+        """Return the centre's states for a target's, (3, 3): inside the fence, no faster up and down than it may."""
         fence, reach_m = self._swarm.rules.fence, self._reach_m * scale
         low, high = np.array(fence.low_enu_m) + reach_m, np.array(fence.high_enu_m) - reach_m
         centre = states.copy()
         centre[0] += hold_m
+        limits, rise = self._swarm.rules.limits, centre[1, 2]
+        centre[1, 2] = np.clip(rise, -FASTEST * limits.descent_m_s, FASTEST * limits.climb_m_s)
+        centre[2, 2] *= float(centre[1, 2] == rise)
         outside = (centre[0] < low) | (centre[0] > high)
         centre[0] = np.clip(centre[0], np.minimum(low, high), np.maximum(low, high))
         centre[1:, outside] = 0.0

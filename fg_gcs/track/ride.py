@@ -19,7 +19,7 @@ from fg_gcs.track.frames import JOINTS, Frames, State, frames_of, state_of
 
 Array = NDArray[np.float64]
 
-PROOF_S = 0.04  # between instants of the proof, besides those where jerks change: speeds bend by centimetres a second
+PROOF_S = 0.04  # between instants of the proof, besides the joints' seams: speeds bend by centimetres a second
 RESERVE = 1.008  # what lies between the instants of the proof may exceed them by
 ROUNDING = 1e-9  # of scales that are computed; the separation itself is a round number
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,24 +72,23 @@ class Tracker:
 
         When every target is lost the formation waits where the present ride ends, and grows with the uncertainty.
         """
+        return next((replan for replan in self.replanning(now_s) if replan is not None), None)
+
+    def replanning(self, now_s: float) -> Iterator[Replan | None]:
+        """Do the same in steps, see :meth:`fg_gcs.track.replanner.Replanner.looking`; none while nothing is known."""
         known = self.known(now_s)
         if known is None:
-            return None
+            return
         scale = needed_scale(self._swarm.formation.inscribed_radius_m, known.radius_m, self._first_scale)
         if len(known.lost) == len(self._tracking.weights):
-            return self.replanner.wait(scale, now_s)
-        goal = Goal(
-            now_s,
-            known.position_enu_m,
-            known.velocity_m_s,
-            known.acceleration_m_s2,
-            scale,
-            self._tracking.estimator.ease_s,
-        )
-        replan = self.replanner.look(goal, now_s)
-        if self.caught_s is None and replan.mode is Mode.FOLLOW and self.error_m(now_s) < self._tracking.capture_m:
-            self.caught_s = now_s
-        return replan
+            yield self.replanner.wait(scale, now_s)
+            return
+        goal = Goal(known.prediction, scale)
+        for replan in self.replanner.looking(goal, now_s):
+            followed = replan is not None and replan.mode is Mode.FOLLOW
+            if self.caught_s is None and followed and self.error_m(now_s) < self._tracking.capture_m:
+                self.caught_s = now_s
+            yield replan
 
     def error_m(self, now_s: float) -> float:
         """Return how far the formation's centre is from its place around the target, as far as known [m]."""

@@ -91,6 +91,11 @@ class Codec:
         self.frames += len(messages)
         return messages
 
+    def restart(self) -> None:
+        """Throw an unfinished frame away: what comes next is not its other half, but a new connection's beginning."""
+        self.bad_bytes += len(self._buffer)
+        self._buffer.clear()
+
     def _next_magic(self, start: int) -> int:
         """Index of the next byte at or after ``start`` that may begin a frame, else the buffer's length."""
         buffer, found = self._buffer, start

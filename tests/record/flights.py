@@ -75,7 +75,7 @@ SUMMARY: dict[str, object] = {
     "limits": {"speed_m_s": 10.0, "acceleration_m_s2": 4.0, "climb_m_s": None, "descent_m_s": 1.5},
     "separation_m": 1.5,
     "target_enu_m": list(TARGET),
-    "rim_rows": [0, 1, 2, 3],
+    "leader_ids": [1, 2, 3, 4],
     "stages": {name: list(span) for name, span in STAGES.items()},
 }
 

@@ -16,6 +16,7 @@ from fg_gcs.record.moving import (
     coverage_after_facing,
     found_again,
     held_places,
+    latency_s,
     reaction_s,
     tracking_figures,
     true_centre,
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 LOPSIDED = Formation(np.array([(0, -3, -2), (0, 5, -1), (0, 4, 3), (0, -2, 6)], dtype=float), np.empty((0, 3)))
 TAKEN, GATED = (list(Verdict).index(verdict) for verdict in (Verdict.TAKEN, Verdict.GATED))
 DEPTH_M = 0.7
+LEADERS = (1, 2, 3, 4)
 
 
 def pursued(caught_s: float | None = 4.0, weights: tuple[float, ...] = (1.0,)) -> Pursued:
@@ -90,6 +92,23 @@ def test_the_reaction_is_that_of_the_first_setpoint_after_a_ride_that_was_taken(
     assert reaction_s(replans.columns(), setpoints.columns()) == pytest.approx([0.02, 0.04])
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.1, 2.0])
+def test_the_latency_is_the_reaction_and_the_sensors_delay(delay_s: float) -> None:
+    replans, setpoints, sightings = Table(REPLANS), Table(SETPOINTS), Table(SIGHTINGS)
+    arrivals = (1.0, 1.5, 3.0, 4.0)
+    for sighted_s in arrivals:
+        replans.append((sighted_s + 0.005, sighted_s, sighted_s + 0.01, 3, 1, *[0.0] * 9))
+        sightings.append((sighted_s - 0.001, sighted_s - 0.001, 0, 0.0, 0.0, 0.0, GATED))  # refused: leads to nothing
+        sightings.append((sighted_s - delay_s, sighted_s, 0, 0.0, 0.0, 0.0, TAKEN))
+    for now_s in np.arange(0.985, 3.5, 0.02).tolist():  # none is left after the last ride
+        setpoints.append((now_s, 1, *[0.0] * 10))
+    columns = replans.columns(), setpoints.columns()
+    reaction, latency = reaction_s(*columns), latency_s(*columns, sightings.columns())
+    assert len(latency) == len(reaction) == 3
+    assert latency == pytest.approx(reaction + delay_s)
+    assert not len(latency_s(*columns, empty(SIGHTINGS)))
+
+
 @pytest.mark.parametrize(("jump_m", "jump_m_s"), [(0.0, 0.0), (0.3, 0.0), (0.0, 0.5)])
 def test_steps_are_what_velocities_and_the_limit_do_not_explain(jump_m: float, jump_m_s: float) -> None:
     setpoints = Table(SETPOINTS)
@@ -128,7 +147,7 @@ def followed(offset_m: float) -> tuple[Flown, dict[str, dict[str, Array]]]:
 @pytest.mark.parametrize("offset_m", [0.0, 0.4])
 def test_a_formation_beside_its_target_is_off_by_as_much(offset_m: float) -> None:
     series, tables = followed(offset_m)
-    found = tracking_figures(series, np.arange(4.0), pursued(), tables)
+    found = tracking_figures(series, LEADERS, pursued(), tables)
     for key in ("centre_error_rms_m", "centre_error_p95_m", "centre_error_commanded_rms_m"):
         assert found[key] == pytest.approx(offset_m, abs=1e-9), key
     assert found["capture_time_s"] == pytest.approx(3.0)
@@ -138,10 +157,26 @@ def test_a_formation_beside_its_target_is_off_by_as_much(offset_m: float) -> Non
 def test_what_was_never_caught_or_never_known_has_no_figures() -> None:
     series, tables = followed(0.0)
     for what, given in ((pursued(caught_s=None), tables), (pursued(), {**tables, "truth": empty(TRUTH)})):
-        found = tracking_figures(series, np.arange(4.0), what, given)
+        found = tracking_figures(series, LEADERS, what, given)
         assert set(found) == {*KEYS, "found_again_s", "replans"}
         assert found["centre_error_rms_m"] is None
-    assert tracking_figures(None, np.arange(4.0), pursued(), tables)["flux_metric_share"] is None
+    assert tracking_figures(None, LEADERS, pursued(), tables)["flux_metric_share"] is None
+
+
+def test_a_leader_that_was_never_heard_leaves_the_figures_of_the_formation_open() -> None:
+    series, tables = followed(0.4)
+    for leaders in ((1, 2, 3, 9), ()):
+        found = tracking_figures(series, leaders, pursued(), tables)
+        assert found["capture_time_s"] == pytest.approx(3.0)
+        for key in ("centre_error_rms_m", "centre_error_p95_m", "centre_error_commanded_rms_m", "flux_metric_share"):
+            assert found[key] is None, key
+    told = tables["setpoints"]
+    served = told["system_id"] != 2  # heard, but never sent anything
+    found = tracking_figures(
+        series, LEADERS, pursued(), {**tables, "setpoints": {name: column[served] for name, column in told.items()}}
+    )
+    assert found["centre_error_rms_m"] == pytest.approx(0.4)
+    assert found["centre_error_commanded_rms_m"] is None
 
 
 def test_coverage_counts_from_when_the_face_first_looks_at_the_target() -> None:

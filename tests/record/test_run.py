@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fg_gcs.record.recorder import EVENTS, MISSION, SUMMARY
+from fg_gcs.record.report import write_report
 from fg_gcs.record.run import IN_FLIGHT, load_run
 from tests.record.flights import STAGES, TARGET, write_run
 
@@ -111,7 +112,8 @@ def test_a_folder_that_is_no_run_is_an_os_error(tmp_path: Path) -> None:
 
 
 def test_a_summary_that_names_more_leaders_than_were_heard(tmp_path: Path) -> None:
-    run = load_run(write_run(tmp_path / NAME, changes={"rim_rows": [0, 4, 9]}))
-    assert run.leaders == (1, 5)
+    run = load_run(write_run(tmp_path / NAME, changes={"leader_ids": [1, 5, 10]}))
+    assert run.leaders == (1, 5, 10)
     assert run.series is not None
     assert np.isnan(run.series.flux_metric).all()
+    assert write_report(tmp_path / NAME).exists()

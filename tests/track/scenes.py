@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.track.estimator import Estimate, Estimator, Model
+from fg_gcs.track.kalman import Dynamics
 from fg_gcs.track.sightings import Sighting, isotropic
 
 Array = NDArray[np.float64]
@@ -15,7 +16,13 @@ Motion = Callable[[float], Array]
 SIGMA_M = 0.5
 NOISE_M2 = isotropic(SIGMA_M)
 DELAY_S = 0.1
-MODELS: tuple[Model, ...] = ("velocity", "acceleration")
+SINGLE: tuple[Model, ...] = ("velocity", "acceleration")  # one linear filter each: only of those is the law exact
+MODELS: tuple[Model, ...] = ("mixed", *SINGLE)
+
+
+def turns(dynamics: Dynamics) -> bool:
+    """Whether a target's acceleration turns with its velocity."""
+    return dynamics.order == 3 and math.isinf(dynamics.ease_s)
 
 
 def seen(time_s: float, position: object, sigma_m: float = SIGMA_M) -> Sighting:
@@ -31,7 +38,7 @@ def known(estimator: Estimator, time_s: float) -> Estimate:
 def same(one: Estimate, other: Estimate) -> None:
     assert one.time_s == other.time_s
     assert one.age_s == other.age_s
-    for mine, yours in zip(one[1:5], other[1:5], strict=True):
+    for mine, yours in zip((*one[1:5], *one.belief), (*other[1:5], *other.belief), strict=True):
         assert np.array_equal(np.asarray(mine), np.asarray(yours))
 
 

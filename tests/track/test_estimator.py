@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from fg_gcs.errors import PlanError
 from fg_gcs.track.estimator import MOST_KEPT, OLDEST_S, Estimator, Model, Settings
 from fg_gcs.track.sightings import Sighting, Verdict
-from tests.track.scenes import DELAY_S, MODELS, SIGMA_M, circle, known, same, seen
+from tests.track.scenes import DELAY_S, MODELS, SIGMA_M, circle, known, same, seen, turns
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -23,14 +23,31 @@ def test_a_predicted_prediction_is_a_prediction(model: Model) -> None:
     first = known(estimator, 5.0)
     for ahead_s in (0.0, 0.4, 3.0, 40.0):
         through, at_once = first.predicted(5.0 + ahead_s), known(estimator, 5.0 + ahead_s)
-        for one, other in zip(through[:-1], at_once[:-1], strict=True):
-            assert one == pytest.approx(other, rel=1e-9, abs=1e-9)
+        for one, other in zip((*through[:6], *through.belief), (*at_once[:6], *at_once.belief), strict=True):
+            assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-9, abs=1e-9)
+        moved = np.stack((through.position_enu_m, through.velocity_m_s, through.acceleration_m_s2))
+        assert first.prediction.at(5.0 + ahead_s) == pytest.approx(moved, rel=1e-9, abs=1e-9)
     assert first.predicted(3.0).time_s == first.time_s
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_what_is_predicted_for_ever_has_a_bounded_speed(model: Model) -> None:
+    rng = np.random.default_rng(4)
+    estimator = Estimator(Settings(model=model))
+    for k in range(50):
+        estimator.add(seen(0.1 * k, circle(0.1 * k) + SIGMA_M * rng.normal(size=3)), 5.0)
+    first = known(estimator, 5.0)
     late = first.predicted(1e4)
-    assert late.velocity_m_s == pytest.approx(
-        first.velocity_m_s + (4.0 * first.acceleration_m_s2 if model == "acceleration" else 0.0)
-    )
-    assert np.abs(late.acceleration_m_s2).max() < 1e-9
+    for b, dynamics in enumerate(first.dynamics):
+        before, after, rate = first.belief.means[b], late.belief.means[b], first.belief.rates_rad_s[b]
+        if turns(dynamics):
+            assert rate > 0.01
+            assert np.linalg.norm(after[1]) <= np.linalg.norm(before[1]) + np.linalg.norm(before[2]) / rate
+        elif dynamics.order == 3:
+            assert after[1] == pytest.approx(before[1] + 4.0 * before[2])
+            assert np.abs(after[2]).max() < 1e-9
+        else:
+            assert after[1] == pytest.approx(before[1])
 
 
 # --- order of arrival ------------------------------------------------------------------------------------------------
@@ -47,11 +64,12 @@ def eventful(seed: int) -> list[Sighting]:
     return sightings
 
 
+@pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("seed", range(10))
-def test_any_order_of_arrival_gives_the_same(seed: int) -> None:
+def test_any_order_of_arrival_gives_the_same(model: Model, seed: int) -> None:
     sightings = eventful(seed)
     rng = np.random.default_rng(seed)
-    in_order, shuffled, delayed = (Estimator(Settings(history_s=span)) for span in (100.0, 100.0, 2.0))
+    in_order, shuffled, delayed = (Estimator(Settings(model, history_s=span)) for span in (100.0, 100.0, 2.0))
     for sighting in sightings:
         in_order.add(sighting, 10.0)
     for index in rng.permutation(len(sightings)):
@@ -94,6 +112,13 @@ def test_there_is_no_estimate_before_sightings_agree() -> None:
             assert verdict is (Verdict.TAKEN if k == 3 else Verdict.TENTATIVE)
         assert known(estimator, 0.4).position_enu_m == pytest.approx([0.0, 1.0, 2.0])
         assert not estimator.lost(0.4)
+
+
+def test_a_new_track_believes_in_each_model_as_long_as_that_lasts() -> None:
+    estimator = Estimator(Settings(steady_s=35.0, unsteady_s=5.0, agreeing_first=1))
+    assert estimator.add(seen(0.0, [0.0, 1.0, 2.0]), 0.0) is Verdict.TAKEN
+    assert known(estimator, 0.0).belief.weights == pytest.approx([0.875, 0.125])
+    assert known(estimator, 3.0).belief.weights == pytest.approx([0.875, 0.125])
 
 
 @pytest.mark.parametrize("jump_m", [8.0, 20.0, 500.0])
@@ -227,7 +252,10 @@ def test_numbers_never_raise_nor_leave_an_estimate_that_is_not_finite(rows: list
         ({"reach_m": math.nan}, "reach_m"),
         ({"agreeing_first": 0}, "agreeing_first"),
         ({"centre_enu_m": (0.0, math.nan, 0.0)}, "centre_enu_m"),
-        ({"model": "jerk"}, "velocity, acceleration"),
+        ({"model": "jerk"}, "mixed, velocity, acceleration"),
+        ({"turning_m2_s5": 0.0}, "turning_m2_s5"),
+        ({"steady_s": math.inf}, "steady_s"),
+        ({"unsteady_s": -1.0}, "unsteady_s"),
     ],
 )
 def test_settings_that_no_filter_can_work_with_are_refused(wrong: dict[str, Any], word: str) -> None:
@@ -242,4 +270,36 @@ def test_the_velocity_model_knows_no_acceleration() -> None:
     estimate = known(estimator, 2.0)
     assert estimate.covariance.shape == (6, 6)
     assert not estimate.acceleration_m_s2.any()
+    assert not estimate.prediction.at(5.0)[2].any()
     assert np.linalg.norm(estimate.velocity_m_s) == pytest.approx(4.0, rel=0.1)
+
+
+def test_what_is_wild_across_a_flat_covariance_is_gated() -> None:
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        estimator = Estimator(Settings())
+        for k in range(40):
+            estimator.add(seen(0.1 * k, circle(0.1 * k) + SIGMA_M * rng.normal(size=3)), 0.1 * k)
+        way = rng.normal(size=3)
+        across = np.cross(way, rng.normal(size=3))
+        wild = circle(4.0) + 100.0 * across / np.linalg.norm(across)
+        noise = 9.9e3**2 * np.outer(way, way) / (way @ way)
+        assert estimator.add(Sighting("boat", 4.0, wild, noise, 4.0), 4.0) is Verdict.GATED
+        assert np.linalg.norm(known(estimator, 4.0).position_enu_m - circle(4.0)) < 1.0
+
+
+def test_flat_covariances_never_raise_nor_leave_what_is_no_number() -> None:
+    for seed in range(1000):
+        rng = np.random.default_rng(seed)
+        estimator, time_s = Estimator(Settings(agreeing_first=1)), 0.0
+        for _ in range(12):
+            way = rng.choice([-1.0, 0.0, 1.0, 1.0, 0.5, rng.normal()], size=3)
+            noise = np.outer(way, way) * rng.choice([0.0, 1e2, 1e6, 9e7])
+            noise *= min(1.0, 1e8 / max(float(np.abs(noise).max()), 1.0))
+            time_s += float(rng.choice([0.0, 0.0, 0.1, 30.0, 3600.0]))
+            position = rng.normal(size=3) * rng.choice([0.0, 1.0, 1e3])
+            estimator.add(Sighting("boat", time_s, position, noise, time_s), time_s)
+            estimate = estimator.at(time_s)
+            if estimate is not None:
+                assert np.isfinite(estimate.position_enu_m).all()
+                assert np.linalg.eigvalsh(estimate.covariance)[0] > 0.0

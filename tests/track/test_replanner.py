@@ -14,6 +14,7 @@ from fg_gcs.core.coverage import FACING, coverage
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.track.mixture import Prediction
 from fg_gcs.track.replanner import Goal, Mode, Replanner, Swarm
 from fg_gcs.track.ride import Ride, prove
 
@@ -35,7 +36,13 @@ def wandering(seed: int, time_s: float) -> Goal:
     place = np.array([40.0 * np.cos(0.1 * time_s), 40.0 * np.sin(0.1 * time_s), 20.0 + 3.0 * np.sin(0.3 * time_s)])
     velocity = np.array([-4.0 * np.sin(0.1 * time_s), 4.0 * np.cos(0.1 * time_s), 0.9 * np.cos(0.3 * time_s)])
     noise = draw.normal(size=(3, 3)) * np.array([[0.2], [0.3], [0.1]])
-    return Goal(time_s, place + noise[0], velocity + noise[1], noise[2], 1.0 + 0.3 * (seed % 3), 4.0)
+    mean = np.stack((place, velocity, np.zeros(3))) + noise
+    prediction = Prediction(time_s, np.ones(1), mean[None], np.array([4.0]), np.zeros(1))
+    return Goal(prediction, 1.0 + 0.3 * (seed % 3))
+
+
+def steady(time_s: float, place: Array, velocity: Array | None = None, scale: float = 1.0) -> Goal:
+    return Goal(Prediction.straight(time_s, place, np.zeros(3) if velocity is None else velocity), scale)
 
 
 def flown(ride: Ride, time_s: Array, formation: Formation = NINE) -> tuple[Array, Array, Array]:
@@ -80,7 +87,7 @@ def test_a_target_at_rest_is_reached_faced_all_the_way_and_held_with_the_target_
     made = replanner()
     rims = []
     for step in range(200):
-        made.look(Goal(0.1 * step, target, np.zeros(3), np.zeros(3), 1.0, 4.0), 0.1 * step)
+        made.look(steady(0.1 * step, target), 0.1 * step)
         rims.append(flown(made.ride, np.array([0.1 * step]))[0][0, :4])
     covered = coverage(np.array(rims), target)
     assert covered[int(np.argmax(covered >= FACING)) :].min() >= 0.95
@@ -92,21 +99,19 @@ def test_a_target_at_rest_is_reached_faced_all_the_way_and_held_with_the_target_
 
 def test_a_face_that_looks_away_turns_before_it_moves() -> None:
     made = replanner()
-    goal = Goal(0.0, np.array([-60.0, 10.0, 20.0]), np.zeros(3), np.zeros(3), 1.0, 4.0)
-    assert made.look(goal, 0.0).mode is Mode.TURN
+    target = np.array([-60.0, 10.0, 20.0])
+    assert made.look(steady(0.0, target), 0.0).mode is Mode.TURN
     middle = made.ride.state(0.5 * made.ride.end_s)
     assert middle.joints[0, :3] == pytest.approx(START.centre_enu_m, abs=1e-9)
     end = made.ride.state(made.ride.end_s)
-    assert end.attitude[:, 0] @ (goal.position_enu_m - START.centre_enu_m) > 0.99 * 60.0
+    assert end.attitude[:, 0] @ (target - START.centre_enu_m) > 0.99 * 60.0
 
 
 def test_a_target_that_is_too_fast_is_chased_without_breaking_a_limit() -> None:
     made = replanner()
     for step in range(120):
         now_s = 0.1 * step
-        goal = Goal(
-            now_s, np.array([30.0 + 14.0 * now_s - 80.0, 40.0, 20.0]), np.array([14.0, 0, 0]), np.zeros(3), 1.0, 4.0
-        )
+        goal = steady(now_s, np.array([30.0 + 14.0 * now_s - 80.0, 40.0, 20.0]), np.array([14.0, 0.0, 0.0]))
         assert made.chases(goal)
         made.look(goal, now_s)
         _, velocity, acceleration = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.005))
@@ -120,9 +125,7 @@ def test_a_target_outside_the_fence_is_followed_along_the_inside() -> None:
     made = replanner(rules=tight)
     for step in range(150):
         now_s = 0.1 * step
-        made.look(
-            Goal(now_s, np.array([60.0, 2.0 * now_s, 20.0]), np.array([0.0, 2.0, 0.0]), np.zeros(3), 1.0, 4.0), now_s
-        )
+        made.look(steady(now_s, np.array([60.0, 2.0 * now_s, 20.0]), np.array([0.0, 2.0, 0.0])), now_s)
         position = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.02))[0]
         assert tight.fence.excess_m(position).max() <= 0.0
     assert position[-1, :, 0].max() > 10.0  # as near as it may come
@@ -134,7 +137,7 @@ def test_climb_descent_and_jerk_have_limits_of_their_own() -> None:
     for step in range(200):
         now_s = 0.1 * step
         height = 50.0 if now_s < 10.0 else 10.0
-        made.look(Goal(now_s, np.array([30.0, 5.0, height]), np.zeros(3), np.zeros(3), 1.0, 4.0), now_s)
+        made.look(steady(now_s, np.array([30.0, 5.0, height])), now_s)
         _, velocity, acceleration = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.002))
         assert velocity[:, :, 2].max() <= 2.0
         assert velocity[:, :, 2].min() >= -1.0
@@ -159,7 +162,7 @@ def test_stopping_comes_to_rest_soon_and_waiting_grows_in_place() -> None:
 
 def test_a_formation_that_must_not_shrink_below_the_minimum_does_not() -> None:
     made = replanner(rules=replace(RULES, separation_m=0.999 * NINE.smallest_separation_m))
-    goal = Goal(0.0, np.array([30.0, 0.0, 20.0]), np.zeros(3), np.zeros(3), 0.5, 4.0)
+    goal = steady(0.0, np.array([30.0, 0.0, 20.0]), scale=0.5)
     assert not made.look(goal, 0.0).taken
     assert made.look(goal._replace(scale=1.0), 0.1).taken
 

@@ -60,6 +60,16 @@ def test_frames_may_be_cut_anywhere(cuts: list[int]) -> None:
     assert codec.bad_bytes == 0
 
 
+@given(cut=st.integers(1, 20), noise=st.binary(max_size=30))
+def test_after_a_restart_no_half_frame_waits_for_its_other_half(cut: int, noise: bytes) -> None:
+    codec, (whole, halved) = Codec(), heartbeats(2)
+    codec.receive(whole + noise + halved[:cut])
+    codec.restart()
+    assert codec.frames == 1
+    assert codec.bad_bytes == len(noise) + cut
+    assert modes(codec.receive(whole)) == [0]
+
+
 def test_text_noise_around_frames_costs_no_frame() -> None:
     noise = b"\n\nInit ArduCopter V4.7.0-dev\n\nFree RAM: 131072\n"
     codec = Codec()
