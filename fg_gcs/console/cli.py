@@ -22,7 +22,7 @@ examples:
   fg-gcs sim --vehicles 9 --autopilot ardupilot      only the simulator, for any ground station
   fg-gcs experiment all                              the paper's tables and figures anew, into docs/
   fg-gcs bench plan --json                           the planner against the paper's way
-  fg-gcs bench track --flights 20                    moving targets and what is required; 20 random flights besides
+  fg-gcs bench track --flights 20 --jobs 2           moving targets and what is required; 20 random flights besides
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
 exit codes: 0 done, 1 the flight was aborted safely, 2 bad input, 3 nobody answered, 4 internal error
@@ -117,6 +117,13 @@ def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--seed", type=_count, default=0, metavar="S", help="of the first of them; the next has S + 1 (default: 0)"
     )
     track.add_argument(
+        "--jobs",
+        type=_jobs,
+        default=1,
+        metavar="N",
+        help="random flights at once, a process each (default: %(default)s)",
+    )
+    track.add_argument(
         "--missions", type=Path, default=Path("missions"), metavar="DIR", help="mission files (default: %(default)s)"
     )
 
@@ -174,7 +181,9 @@ def _run(chosen: argparse.Namespace) -> int:
         case "bench" if chosen.what == "track":
             from fg_gcs.console.track_bench import Size, bench_track
 
-            return bench_track(chosen.missions, Size(chosen.flights, chosen.seed), as_json=chosen.json)
+            return bench_track(
+                chosen.missions, Size(chosen.flights, chosen.seed, jobs=chosen.jobs), as_json=chosen.json
+            )
         case "bench":
             from fg_gcs.console.experiment import bench
 
@@ -200,6 +209,12 @@ def _count(text: str) -> int:
     value = int(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f"{text}: a negative number")
+    return value
+
+
+def _jobs(text: str) -> int:
+    if (value := _count(text)) == 0:
+        raise argparse.ArgumentTypeError("0: nobody would fly")
     return value
 
 

@@ -9,8 +9,11 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -22,7 +25,7 @@ from fg_gcs.console.experiment import show, tell
 from fg_gcs.console.fly import Options, fly
 from fg_gcs.errors import FgError, MissionError
 from fg_gcs.experiment.moving import MANY, REPLANS, Requirement, courses, durations_ms, many, nine, run
-from fg_gcs.experiment.random_missions import RandomMission, random_mission
+from fg_gcs.experiment.random_missions import random_mission
 from fg_gcs.experiment.tables import Cell, Column, Table
 from fg_gcs.mission import load_mission
 from fg_gcs.record.figures import PLANNED_STAGES
@@ -106,6 +109,14 @@ class Flight(NamedTuple):
         return self.summary["vehicles_landed"] == self.summary["vehicles"]
 
 
+class Tried(NamedTuple):
+    """What came of a random mission."""
+
+    seed: int
+    said: str
+    flight: Flight | None  # None: it could not be flown
+
+
 Flyer = Callable[[str, str | None], Flight]  # takes a mission's TOML and the simulator's manners (None: as it says)
 
 
@@ -116,6 +127,7 @@ class Size:
     flights: int = 0  # random ones, besides the missions
     seed: int = 0  # of the first random flight, one more for each of the next; and of the rehearsals
     rehearsed_s: float = REHEARSED_S
+    jobs: int = 1  # processes for the random flights
 
 
 def bench_track(missions: Path, size: Size, *, as_json: bool) -> int:
@@ -252,13 +264,9 @@ def _random_flights(size: Size, flyer: Flyer, progress: Callable[[str], None]) -
     counts: Counter[str] = Counter()
     odd: list[dict[str, object]] = []
     nearest: list[float] = []
-    for number in range(size.flights):
-        seed = size.seed + number
+    for number, (seed, said, flight) in enumerate(_tries(size, flyer), start=1):
         drawn = random_mission(seed)
-        said, flight = _tried(drawn, flyer)
-        progress(
-            f"random flight {number + 1} of {size.flights}: seed {seed}, {drawn.motion}, {drawn.autopilot}: {said}"
-        )
+        progress(f"random flight {number} of {size.flights}: seed {seed}, {drawn.motion}, {drawn.autopilot}: {said}")
         if flight is None:
             counts["not_landed"] += 1
             odd.append({"seed": seed, "said": said})
@@ -281,17 +289,32 @@ def _random_flights(size: Size, flyer: Flyer, progress: Callable[[str], None]) -
     }
 
 
-def _tried(drawn: RandomMission, flyer: Flyer) -> tuple[str, Flight | None]:
+def _tries(size: Size, flyer: Flyer) -> Iterator[Tried]:
+    """Fly every random mission, several at once if so many are wanted; in the order of their seeds."""
+    seeds = range(size.seed, size.seed + size.flights)
+    if size.jobs == 1:
+        yield from (_tried(seed, flyer) for seed in seeds)
+        return
+    # Spawned, not forked: a fork would copy the threads' locks, but not the threads
+    with ProcessPoolExecutor(size.jobs, mp_context=get_context("spawn")) as pool:
+        try:
+            yield from pool.map(partial(_tried, flyer=flyer), seeds)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _tried(seed: int, flyer: Flyer) -> Tried:
     """Fly, and say how it went."""
+    drawn = random_mission(seed)
     try:
         flight = flyer(drawn.text, drawn.autopilot)
     except FgError as error:
-        return f"not flown: {error}", None
+        return Tried(seed, f"not flown: {error}", None)
     parts = [] if flight.summary["completed"] else [f"not completed: {flight.summary['reason']}"]
     parts += [] if flight.landed else [f"{flight.summary['vehicles_landed']} vehicles landed"]
     parts += [f"broke {', '.join(flight.broken)}"] if flight.broken else []
     parts += [f"{flight.pairs_below} pairs too close"] if flight.pairs_below else []
-    return "; ".join(parts) or "completed", flight
+    return Tried(seed, "; ".join(parts) or "completed", flight)
 
 
 def _mission_rows(flown: Mapping[str, Flight]) -> Iterator[tuple[Cell, ...]]:

@@ -148,6 +148,21 @@ def test_random_flights_are_counted_with_their_seeds() -> None:
     assert figures["seeds"]["flights"] == [7, 8, 9, 10]
 
 
+def landed_on_even_seeds(text: str, _autopilot: str | None) -> Flight:
+    odd = re.search(r"seed \d*[13579]\"", text) is not None
+    return flown(vehicles_landed=8, completed=False, reason="vehicle 3 lost") if odd else flown()
+
+
+def test_several_processes_count_the_same() -> None:
+    one, two = (
+        measured(landed_on_even_seeds, Size(flights=5, seed=4, rehearsed_s=1.0, jobs=jobs))[0]["flights"]
+        for jobs in (1, 2)
+    )
+    assert one == two
+    assert isinstance(one, dict)
+    assert [each["seed"] for each in one["odd"]] == [5, 7]
+
+
 def table(
     moved: Callable[[Array], None] | None = None,
 ) -> dict[str, Array]:
