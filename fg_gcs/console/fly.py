@@ -182,7 +182,7 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
 
 def _tracking_keys(mission: Mission, result: Result, recorder: Recorder, leaders: list[int]) -> dict[str, object]:
     """The figures of the tracking; those of a target at rest are 0 or none."""
-    keys: dict[str, object] = {"replans": 0, "replan_median_ms": None, "replan_p99_ms": None}
+    keys: dict[str, object] = {"replans": 0, "replans_late": 0, "replan_median_ms": None, "replan_p99_ms": None}
     keys |= dict.fromkeys(KEYS) | {"found_again_s": [], "sightings": 0, "sightings_rejected": {}}
     tracked, task = result.tracked, result.task
     if tracked is None or task is None:
@@ -203,4 +203,8 @@ def _tracking_keys(mission: Mission, result: Result, recorder: Recorder, leaders
         took_ms = [1e3 * took for took in tracked.planning_s]
         keys |= {"replan_median_ms": np.median(took_ms), "replan_p99_ms": np.percentile(took_ms, 99)}
     rejected = {verdict.name.lower(): count for verdict, count in tracked.refused.items()}
-    return keys | {"sightings": tracked.sightings, "sightings_rejected": rejected}
+    return keys | {
+        "replans_late": tracked.late,
+        "sightings": tracked.sightings,
+        "sightings_rejected": rejected,
+    }

@@ -66,6 +66,7 @@ class Director:
         fleet: the vehicles, once they are found.
         journal: the present stage and what was said.
         pursuit: of moving targets, once it is ready.
+        streamer: the source of setpoints, once there is a plan.
     """
 
     def __init__(self, mission: Mission, setup: Setup, recorder: Recorder) -> None:
@@ -74,11 +75,11 @@ class Director:
         self.fleet: Fleet | None = None
         self.journal = Journal(recorder)
         self.pursuit: Pursuit | None = None
+        self.streamer: Streamer | None = None
         self._mission = mission
         self._setup = setup
         self._interrupts: asyncio.Queue[str] = asyncio.Queue()
         self._failure: BaseException | None = None
-        self._streamer: Streamer | None = None
 
     def interrupt(self, reason: str) -> None:
         """Stop the flight: the first time by flying home, a second time by landing on the spot."""
@@ -96,8 +97,8 @@ class Director:
 
     async def quiet_moment(self) -> None:
         """Wait until some milliseconds of work, such as a picture for people, delay no setpoint."""
-        if self._streamer is not None:
-            await self._streamer.quiet_moment()
+        if self.streamer is not None:
+            await self.streamer.quiet_moment()
 
     async def fly(self) -> Result:
         """Fly the mission; returns with everybody that still obeys on the ground.
@@ -145,7 +146,7 @@ class Director:
         try:
             await self._unless_interrupted(on_the_ground())
             sortie = sorties[0]
-            self._streamer = sortie.streamer
+            self.streamer = sortie.streamer
             background += [asyncio.create_task(sortie.streamer.run()), asyncio.create_task(sortie.watch())]
             if self.pursuit is None:
                 flight = sortie.fly()

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.flight.chase import Chase
 from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.planning import LATE_S, Planning
 from fg_gcs.flight.sources import SIMULATED_ENDPOINT, Sources
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.mission.model import Mission
@@ -28,10 +28,6 @@ from fg_gcs.track.tracker import Tracker, Tracking
 Array = NDArray[np.float64]
 
 QUIET_S = 0.25  # without a sighting for so long the ride is planned anew all the same: what is unknown grows
-FIRST_USUAL_S = 0.002  # that a step of planning takes, until it is known
-REMEMBERED = 60  # durations of steps of planning: some twenty plans, or two seconds of ten sightings a second
-SPARE = 2.0  # times the usual duration of a step is what the next one may take
-LATE_S = 0.06  # a plan from where the formation was so long ago is a step of centimetres by now
 LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before everybody goes home for it
 TRUTH_S = 0.02  # between instants for which true positions are written down: the stream's usual period
 KEPT = frozenset({Verdict.TAKEN, Verdict.TENTATIVE})  # any other verdict is a refusal
@@ -60,6 +56,7 @@ class Tracked(NamedTuple):
     ended_s: float
     caught_s: float | None
     planning_s: tuple[float, ...]  # durations of all replans by the stopwatch
+    late: int  # replans that took too long and were given up
     sightings: int  # all that came, whatever became of them
     refused: dict[Verdict, int]
 
@@ -111,9 +108,9 @@ class Pursuit:
         self._stamp_s = np.nan  # when what it says was true
         self._told_s = (np.nan, np.nan)  # that of the newest one that a ride was planned for, and when that was done
         self._latency_s = np.nan
-        self._usual_s = deque([FIRST_USUAL_S], maxlen=REMEMBERED)
+        self._planning = Planning(streamer)
+        self._told_late = False
         self._planning_s: list[float] = []
-        self._late = 0
         self._count = 0
         self._refusals: Counter[Verdict] = Counter()
         self._modes: set[Mode] = set()
@@ -148,7 +145,7 @@ class Pursuit:
                 async with asyncio.timeout(QUIET_S):
                     await self._wake.wait()
             self._wake.clear()
-            await self._gap()
+            await self._planning.gap()
             if self._tracker is not None and self._chase is not None and self._ended_s is None:
                 await self._replan(self._tracker, self._chase)
 
@@ -212,7 +209,8 @@ class Pursuit:
             return None
         ended_s = self._time() if self._ended_s is None else self._ended_s
         planning_s = tuple(self._planning_s)
-        return Tracked(self._began_s, ended_s, self.caught_s, planning_s, self._count, dict(self._refusals))
+        late = self._planning.late
+        return Tracked(self._began_s, ended_s, self.caught_s, planning_s, late, self._count, dict(self._refusals))
 
     def hopeless(self) -> str | None:
         """Return why it makes no sense to go on, None if it does."""
@@ -268,29 +266,6 @@ class Pursuit:
 
     # --- planning ------------------------------------------------------------------------------------------------
 
-    async def _gap(self) -> None:
-        """Wait until the next step of planning fits in before the next setpoints."""
-        if self._streamer.due_s - self._time() < SPARE * median(self._usual_s):
-            await self._streamer.quiet_moment()
-
-    async def _planned(self, tracker: Tracker, now_s: float) -> Replan | None:
-        """Plan in the gaps between setpoints; None if it comes too late: then the present, proven ride goes on."""
-        begun_s = now_s
-        for replan in tracker.replanning(now_s):
-            self._usual_s.append(self._time() - begun_s)
-            if replan is not None:
-                return replan
-            await self._gap()
-            begun_s = self._time()
-            if self._ended_s is not None:
-                return None
-            if begun_s - now_s > LATE_S:
-                self._late += 1
-                if self._late == 1:
-                    self._journal.event("notice", f"planning took longer than {LATE_S:g} s; the present ride goes on")
-                return None
-        return None
-
     async def _replan(self, tracker: Tracker, chase: Chase) -> None:
         now_s, began_s, was_caught = self._time(), self._stopwatch(), tracker.caught_s is not None
         known = tracker.known(now_s)
@@ -298,9 +273,12 @@ class Pursuit:
             return
         sighted_s, stamp_s = self._sighted_s, self._stamp_s
         self._sighted_s = self._stamp_s = np.nan  # what comes from now on is for the next ride
-        replan = await self._planned(tracker, now_s)
-        if replan is None:
+        replan = await self._planning.result(tracker.replanning(now_s), lambda: self._ended_s is not None)
+        if replan is None:  # the present ride goes on, and it was proven
             self._sighted_s, self._stamp_s = np.fmin(sighted_s, self._sighted_s), np.fmin(stamp_s, self._stamp_s)
+            if self._planning.late and not self._told_late:
+                self._told_late = True
+                self._journal.event("notice", f"planning took longer than {LATE_S:g} s; the present ride goes on")
             return
         chase.ride = replan.ride
         chase.look_at(now_s, known.position_enu_m, known.velocity_m_s)

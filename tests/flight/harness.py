@@ -137,10 +137,11 @@ def fly(
     wind_m_s: float = 0.0,
     *,
     ours: bool = True,
+    loop: Callable[[], asyncio.AbstractEventLoop] = VirtualTimeLoop,
 ) -> Flight:
     """Fly a mission in virtual time while a script interferes; not ``ours``: where on Earth it is has to be learnt."""
     chosen = mission or mission_of(folder)
-    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+    with asyncio.Runner(loop_factory=loop) as runner:
         return runner.run(_fly(chosen, folder, autopilot, script, wind_m_s, ours))
 
 
