@@ -142,6 +142,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fg-gcs: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
+        print("\nfg-gcs: stopped", file=sys.stderr)  # on a line of its own, after the terminal's ^C
         return ABORTED
     except BrokenPipeError:  # the reader of our output has gone, as `| head` does
         return DONE

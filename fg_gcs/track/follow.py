@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 ROOM, SPARE_M_S = 1.01, 0.01  # a goal right on a bound has no way to it
 SHORTEST_S = 1e-9  # phases shorter than this are none
+ROUNDING = 1e-9  # [SI] of a joint's state: where it is said to be already
 # Where a polynomial of fifth degree is looked at: between two of these its acceleration bends by 0.3 % of its largest,
 # and right at its ends its jerk is the largest or the smallest
 SHOWN = np.array([1e-3, *(np.arange(1, 32) / 32), 1.0 - 1e-3])
@@ -95,7 +96,12 @@ class Joints:
         return 6.0 * float(np.linalg.norm(cubic))
 
     def to(self, goal: Array, bounds: Bounds, least_s: float = 0.0) -> bool:
-        """Add the fastest motion to a state, shape (3, D), that takes ``least_s`` or longer; False if there is none."""
+        """Add the fastest motion to a state, shape (3, D), that takes ``least_s`` or longer; False if there is none.
+
+        A joint that is there already stays there: that it is off by a rounding, and has time, makes ruckig go round.
+        """
+        there = (np.abs(self._end - goal) < ROUNDING).all(axis=0) & ~goal[1:].any(axis=0)
+        self._end = np.where(there, goal, self._end)
         asked = self._input(bounds)
         asked.target_position, asked.target_velocity, asked.target_acceleration = goal.tolist()
         if least_s > 0.0:

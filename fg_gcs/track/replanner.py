@@ -45,7 +45,9 @@ TURN_S = 0.9  # least time for a turn on the way: attitudes wanted differ a litt
 
 # Times to join a target in, quick ones first: below 0.8 s accelerations mirror the noise of the sightings
 SMOOTH_S = (0.8, 0.9, 1.0, 1.15, 1.3, 1.6, 2.0, 2.6, 3.4, 4.5)
-RUN_ON_S, SHORTLY_S = 8.0, 2.0  # how long to go on as predicted if no sighting comes, and if that leads too far
+# How long after the last sighting to go on as predicted if no other comes, how long if that leads too far, and the
+# least for which it is worth planning
+RUN_ON_S, SHORTLY_S, WORTH_S = 8.0, 2.0, 0.5
 PIECE_S = 1.5  # of a prediction: a polynomial of fifth degree follows it to the millimetre
 
 
@@ -75,6 +77,7 @@ class Goal(NamedTuple):
 
     prediction: Prediction
     scale: float  # that the formation needs around it
+    age_s: float = 0.0  # of the newest sighting that the prediction is made of
 
     def at(self, time_s: float) -> Array:
         """Return position, velocity and acceleration predicted for a time, shape (3, 3)."""
@@ -158,12 +161,13 @@ class Replanner:
             ride = self._stopped(state, attitude, goal.scale, now_s)
             yield self._taken(ride, Mode.TURN)
             return
+        run_on_s = max(RUN_ON_S - goal.age_s, 0.0)
         for takes_s in SMOOTH_S:
             yield None
-            ride = self._joined(state, attitude, goal, now_s, takes_s, SHORTLY_S)
+            ride = self._joined(state, attitude, goal, now_s, takes_s, min(SHORTLY_S, run_on_s))
             if ride is not None and self._holds(ride):
                 yield None
-                longer = self._joined(state, attitude, goal, now_s, takes_s, RUN_ON_S)
+                longer = self._joined(state, attitude, goal, now_s, takes_s, run_on_s)
                 yield self._taken(longer if longer is not None and self._holds(longer) else ride, Mode.FOLLOW)
                 return
         for effort in dict.fromkeys((*(self._swinging(state, each) for each in EFFORTS), *EFFORTS)):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fg_gcs.core.formation import Pose
 from fg_gcs.track.estimator import Estimator, Settings
 from fg_gcs.track.group import Group, GroupEstimate, needed_scale
-from fg_gcs.track.replanner import Goal, Mode, Replan, Replanner, Swarm
+from fg_gcs.track.replanner import RUN_ON_S, WORTH_S, Goal, Mode, Replan, Replanner, Swarm
 from fg_gcs.track.ride import Ride
 from fg_gcs.track.sightings import Sighting, Verdict
 
@@ -70,7 +70,8 @@ class Tracker:
     def replan(self, now_s: float) -> Replan | None:
         """Look for a better ride from now on; None while nothing is known.
 
-        When every target is lost the formation waits where the present ride ends, and grows with the uncertainty.
+        When every target is lost the formation goes on as predicted for a while, then rests. It grows with the
+        uncertainty all the time.
         """
         return next((replan for replan in self.replanning(now_s) if replan is not None), None)
 
@@ -80,10 +81,10 @@ class Tracker:
         if known is None:
             return
         scale = needed_scale(self._swarm.formation.inscribed_radius_m, known.radius_m, self._first_scale)
-        if len(known.lost) == len(self._tracking.weights):
+        if len(known.lost) == len(self._tracking.weights) and known.age_s > RUN_ON_S - WORTH_S:
             yield self.replanner.wait(scale, now_s)
             return
-        goal = Goal(known.prediction, scale)
+        goal = Goal(known.prediction, scale, known.age_s)
         for replan in self.replanner.looking(goal, now_s):
             followed = replan is not None and replan.mode is Mode.FOLLOW
             if self.caught_s is None and followed and self.error_m(now_s) < self._tracking.capture_m:

@@ -60,3 +60,17 @@ def test_what_no_bound_allows_and_what_is_no_number_is_refused_and_changes_nothi
     assert not joints.to(np.array([[1.0], [9.0], [0.0]]), bounds(1))
     assert joints.end_s == 0.0
     assert not Joints(0.0, np.full((3, 1), np.nan)).to_velocity(np.zeros(1), bounds(1))
+
+
+def test_a_joint_that_is_off_by_a_rounding_stays_where_it_is() -> None:
+    for seed in range(50):
+        draw = np.random.default_rng(seed)
+        start = np.zeros((3, 3))
+        start[:, 1:] = 1e-16 * draw.normal(size=(3, 2))
+        start[1:, 0] = draw.uniform(-0.5, 0.5, 2)
+        start[0] += 1.0
+        joints = Joints(0.0, start)
+        assert joints.to(np.array([[4.0, 1.0, 1.0], np.zeros(3), np.zeros(3)]), bounds(), float(draw.uniform(0.0, 5.0)))
+        states = joints.at(np.linspace(0.0, joints.end_s, 500))
+        assert np.abs(states[:, 0, 1:] - 1.0).max() < 1e-8
+        assert np.abs(states[:, 1:, 1:]).max() < 1e-8

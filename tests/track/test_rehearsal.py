@@ -13,7 +13,7 @@ from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.track.estimator import Settings
 from fg_gcs.track.motions import Circle, Static, TrueMotion
 from fg_gcs.track.rehearsal import HOLDING, QUIET_S, TICK_S, Rehearsal, rehearse
-from fg_gcs.track.replanner import Swarm
+from fg_gcs.track.replanner import RUN_ON_S, Swarm
 from fg_gcs.track.sensor import Sensor, SensorSettings
 from fg_gcs.track.sightings import Verdict
 from fg_gcs.track.tracker import Tracking
@@ -137,3 +137,24 @@ def test_durations_are_the_stopwatch_s() -> None:
     )
     figures = run.figures()
     assert (figures.replan_median_ms, figures.replan_p99_ms) == (1000.0, 1000.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_target_that_is_seen_no_more_is_followed_on_for_a_while_with_a_growing_formation(seed: int) -> None:
+    lost_s, most = 12.0, 6.0 / FORMATION.inscribed_radius_m
+    run = rehearsed({"boat": ROUND}, SensorSettings(silence_s=((lost_s, np.inf),)), seconds=40.0, seed=seed)
+    figures = run.figures()
+    assert figures.caught_s is not None
+    assert figures.caught_s < lost_s
+    assert figures.broken == ()
+    end_s = lost_s + RUN_ON_S
+    speed = np.linalg.norm(run.velocity_m_s, axis=2).max(axis=1)
+    going, over = (run.time_s > lost_s) & (run.time_s < end_s - 1.0), run.time_s > end_s + 20.0 * TICK_S
+    assert speed[going].min() > 0.5  # it does go on
+    braked_s = ROUND.top_speed_m_s / (0.2 * RULES.limits.acceleration_m_s2)  # with a fifth of what is allowed at least
+    assert speed[run.time_s > end_s + braked_s + 4.0].max() < 0.01  # and growing in place takes some seconds, too
+    assert over.any()
+    assert run.scale.max() <= most * (1.0 + 1e-9)
+    assert run.scale[-1] == pytest.approx(most)
+    assert run.scale[run.time_s < lost_s] == pytest.approx(1.0)
+    assert (np.diff(run.scale[run.time_s > lost_s]) > -1e-9).all()  # the longer unseen, the larger
