@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,16 +62,20 @@ def estimated_centre(replans: Columns) -> Whereabouts | None:
     return Whereabouts(replans["time_s"], replans["position_enu_m"]) if len(replans["time_s"]) else None
 
 
-def held_places(rims_enu_m: Array, leaders_m: Array, hold_depth_m: float) -> Array:
-    """Return where a target is if the formation holds it, by the best fit of the template to the leaders [Kabsch1976]_.
+class Fit(NamedTuple):
+    """The formation's frame over T instants."""
+
+    centre_enu_m: Array  # (T, 3)
+    attitude: Array  # (T, 3, 3) template axes to ENU
+    scale: Array  # (T,)
+
+
+def fitted(rims_enu_m: Array, leaders_m: Array) -> Fit:
+    """Return the best fit of the template to the leaders [Kabsch1976]_.
 
     Args:
         rims_enu_m: leaders over time in their winding order, shape (T, N, 3) [m].
         leaders_m: their slots, shape (N, 3) [m; template].
-        hold_depth_m: how far the target lies behind the face.
-
-    Returns:
-        Shape (T, 3) [m; ENU].
     """
     middle, middles = leaders_m.mean(axis=0), rims_enu_m.mean(axis=1)
     arms = leaders_m - middle
@@ -80,9 +85,26 @@ def held_places(rims_enu_m: Array, leaders_m: Array, hold_depth_m: float) -> Arr
     signs[:, 2] = np.sign(np.linalg.det(left @ right))
     attitude = np.einsum("tak,ta,tia->tki", right, signs, left)  # template axes to ENU
     scale = (sizes * signs).sum(axis=1) / (arms**2).sum()
-    centres = middles - scale[:, None] * (attitude @ middle)
-    places: Array = centres - hold_depth_m * attitude[:, :, 0]
+    return Fit(middles - scale[:, None] * (attitude @ middle), attitude, scale)
+
+
+def held_places(rims_enu_m: Array, leaders_m: Array, hold_depth_m: float) -> Array:
+    """Return where a target is if the formation holds it, so far behind the face [m]: shape (T, 3) [m; ENU]."""
+    fit = fitted(rims_enu_m, leaders_m)
+    places: Array = fit.centre_enu_m - hold_depth_m * fit.attitude[:, :, 0]
     return places
+
+
+def flown_scale(series: Flown, leaders: Sequence[int], pursued: Pursued) -> tuple[Array, Array] | None:
+    """Return instants of the tracking and the flown formation's size then, times the template, (T,), (T,).
+
+    None unless all leaders, system ids in their winding order, were heard.
+    """
+    rims = series.places_m(leaders)
+    if rims is None:
+        return None
+    inside = (series.time_s >= pursued.began_s) & (series.time_s <= pursued.ended_s)
+    return series.time_s[inside], fitted(rims[inside], pursued.leaders_m).scale
 
 
 def flown_error(

@@ -20,7 +20,7 @@ from fg_gcs.record.page import Cell, Row, chart, page, section, table
 from fg_gcs.record.recorder import REPORT
 from fg_gcs.record.run import Event, Run, load_run
 from fg_gcs.record.scene import scene
-from fg_gcs.record.tracking_charts import age_chart, centre_chart, sightings_chart
+from fg_gcs.record.tracking_charts import age_chart, centre_chart, sightings_chart, size_chart
 
 # Plans keep their limits exactly, real vehicles overshoot: wind, control, velocities stamped in whole milliseconds
 FLOWN_SLACK = 0.05
@@ -148,6 +148,14 @@ def _tracking_charts(run: Run) -> Iterator[str]:
         sightings_chart(run),
         "How far every sighting lay from the target when it was true. Good: red crosses, which were refused, lie far "
         "off, and those that were taken spread by no more than the sensor's noise.",
+    )
+    yield chart(
+        "size",
+        "Size",
+        size_chart(run),
+        "Radius of the ball that holds several targets, or one that is not seen any more, with all that is uncertain "
+        "about them; and of the largest circle in the formation's face as it was flown. Good: the circle is above the "
+        "ball, or on the way there. Missing where one target was seen all the time.",
     )
     yield chart(
         "age",

@@ -6,8 +6,9 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from fg_gcs.core.formation import Formation
 from fg_gcs.record.charts import FAULT_COLOUR, FOLLOWER_COLOUR, INK, add_line, empty_chart, finished
-from fg_gcs.record.moving import flown_error
+from fg_gcs.record.moving import flown_error, flown_scale
 from fg_gcs.record.run import Run
 from fg_gcs.track.replanner import Mode
 from fg_gcs.track.sightings import Verdict
@@ -70,6 +71,23 @@ def sightings_chart(run: Run) -> go.Figure | None:
     chart.update_layout(showlegend=True)
     chart.update_yaxes(rangemode="tozero")
     return chart
+
+
+def size_chart(run: Run) -> go.Figure | None:
+    """Return how large the targets' ball was believed to be, and the circle in the face that has to hold it.
+
+    None where there was no ball: a single target that was seen all the time is a point.
+    """
+    pursued, replans, series = run.pursued, run.replans, run.series
+    if pursued is None or series is None or not (replans["radius_m"] > 0.0).any():
+        return None
+    chart = empty_chart(run, "radius [m]", height=270)
+    add_line(chart, replans["time_s"], replans["radius_m"], "ball that holds what is surrounded", "#0072b2", "m")
+    sizes = flown_scale(series, run.leaders, pursued)
+    if sizes is not None:
+        inscribed_m = Formation(pursued.leaders_m, np.empty((0, 3))).inscribed_radius_m
+        add_line(chart, sizes[0], inscribed_m * sizes[1], "circle in the face, flown", INK, "m")
+    return finished(chart, None, "")
 
 
 def age_chart(run: Run) -> go.Figure | None:

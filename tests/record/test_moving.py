@@ -14,6 +14,7 @@ from fg_gcs.record.moving import (
     Pursued,
     commanded_steps,
     coverage_after_facing,
+    fitted,
     found_again,
     held_places,
     latency_s,
@@ -44,6 +45,10 @@ def test_the_place_of_a_held_target_is_found_from_the_leaders_alone(formation: F
     rims = np.stack([formation.place(pose)[: len(formation.leaders_m)] for pose in poses])
     wanted = np.stack([pose.centre_enu_m - DEPTH_M * pose.rotation[:, 0] for pose in poses])
     assert held_places(rims, formation.leaders_m, DEPTH_M) == pytest.approx(wanted, abs=1e-9)
+    fit = fitted(rims, formation.leaders_m)
+    assert fit.centre_enu_m == pytest.approx(np.stack([pose.centre_enu_m for pose in poses]), abs=1e-9)
+    assert fit.attitude == pytest.approx(np.stack([pose.rotation for pose in poses]), abs=1e-9)
+    assert fit.scale == pytest.approx(np.array([pose.scale for pose in poses]))
 
 
 def test_noise_of_the_leaders_spoils_the_place_by_no_more_than_itself() -> None:
