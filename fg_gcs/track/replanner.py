@@ -214,16 +214,16 @@ class Replanner:
         return distance < BESIDE_RADII * radius_m or (faces and not (swings and self.mode is Mode.TURN))
 
     def _stopped(self, state: State, attitude: Array, scale: float, now_s: float) -> Ride | None:
-        """Return a ride that brakes to rest and takes up attitude and scale, if one holds."""
+        """Return the ride that soonest rests with another attitude and scale, if one holds."""
         axes = _axes(state.joints[1, :3])
+        rides = []
         for effort in ON_THE_SPOT:
             moving = Joints(now_s, state.joints[:, :3] @ axes)
             turning = self._turning(state, attitude, scale, now_s, effort.turn, 0.0)
             if turning is not None and moving.to_velocity(np.zeros(3), self._bounds(axes, effort, ALONG)):
-                ride = Ride(state.attitude, moving, turning, axes)
-                if self._holds(ride):
-                    return ride
-        return None
+                rides.append(Ride(state.attitude, moving, turning, axes))
+        soonest = sorted(rides, key=lambda ride: ride.end_s)
+        return next((ride for ride in soonest if self._holds(ride)), None)
 
     def _joined(
         self, state: State, attitude: Array, goal: Goal, now_s: float, takes_s: float, run_on_s: float

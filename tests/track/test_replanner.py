@@ -144,13 +144,18 @@ def test_climb_descent_and_jerk_have_limits_of_their_own() -> None:
         assert np.linalg.norm(np.diff(acceleration, axis=0), axis=2).max() / 0.002 <= 8.0
 
 
-def test_stopping_comes_to_rest_soon_and_waiting_grows_in_place() -> None:
-    made = replanner()
+@pytest.mark.parametrize(
+    ("limits", "most_s"),
+    [(Limits(10.0, 5.0), 2.5), (Limits(10.0, 2.5, climb_m_s=2.5, descent_m_s=1.5, jerk_m_s3=5.0), 6.0)],
+    ids=["px4", "ardupilot"],
+)
+def test_stopping_comes_to_rest_soon_and_waiting_grows_in_place(limits: Limits, most_s: float) -> None:
+    made = replanner(rules=replace(RULES, limits=limits))
     for step in range(60):
         made.look(wandering(0, 0.1 * step), 0.1 * step)
     assert np.linalg.norm(made.ride.state(6.0).joints[1, :3]) > 3.0
     assert made.stop(6.0).taken
-    assert made.ride.end_s < 6.0 + 6.0
+    assert made.ride.end_s < 6.0 + most_s
     rest = made.ride.state(made.ride.end_s)
     assert not made.wait(1.5, made.ride.end_s - 0.1).taken  # not before it rests
     grown = made.wait(1.5, made.ride.end_s)
