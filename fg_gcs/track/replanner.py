@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ Shares = tuple[float, float, float]
 JERK_M_S3 = 12.0  # where the mission states none: from rest to 5 m/s^2 within half a second
 FACING = 0.9  # cosine between normal and target below which the face turns first and moves then
 CLOSEST_M = 0.1  # as if a vehicle were so far from the centre: a swarm on one spot may spin
+UPRIGHT = 0.5  # share of climb and descent for each axis of a turn that lifts vehicles on one side of the formation
 SWING = 0.1  # angle by which a turn may swing on while the formation moves [rad]: a faster one ends on the spot
 BESIDE_RADII = 4.0  # nearer than this many radii there is no time to turn first
 FASTEST = 0.9  # share of the vehicles' speed that a target may have to be followed at its own
@@ -216,10 +218,12 @@ class Replanner:
     def _stopped(self, state: State, attitude: Array, scale: float, now_s: float) -> Ride | None:
         """Return the ride that soonest rests with another attitude and scale, if one holds."""
         axes = _axes(state.joints[1, :3])
+        limits = self._swarm.rules.limits
+        upright_rad_s = UPRIGHT * min(limits.climb_m_s, limits.descent_m_s) / self._arm_m(state, scale)
         rides = []
-        for effort in ON_THE_SPOT:
+        for effort, fastest_rad_s in product(ON_THE_SPOT, (np.inf, upright_rad_s)):
             moving = Joints(now_s, state.joints[:, :3] @ axes)
-            turning = self._turning(state, attitude, scale, now_s, effort.turn, 0.0)
+            turning = self._turning(state, attitude, scale, now_s, effort.turn, 0.0, fastest_rad_s)
             if turning is not None and moving.to_velocity(np.zeros(3), self._bounds(axes, effort, ALONG)):
                 rides.append(Ride(state.attitude, moving, turning, axes))
         soonest = sorted(rides, key=lambda ride: ride.end_s)
@@ -297,6 +301,10 @@ class Replanner:
             return _axes(change), ALONG, 1.0
         return np.eye(3), ACROSS, 1.0
 
+    def _arm_m(self, state: State, scale: float) -> float:
+        """Return how far from the centre a vehicle is at most on the way to a scale [m]."""
+        return max(self._reach_m * max(float(state.joints[0, 6]), scale), CLOSEST_M)
+
     def _swinging(self, state: State, effort: Effort) -> Effort:
         """Return an effort that turns at least as hard as the formation does now: or the turn would swing past."""
         arm_m = max(self._reach_m * float(state.joints[0, 6]), CLOSEST_M)
@@ -304,13 +312,21 @@ class Replanner:
         return effort._replace(turn=max(effort.turn, min(present, ON_THE_SPOT[0].turn)))
 
     def _turning(
-        self, state: State, attitude: Array, scale: float, now_s: float, share: float, least_s: float
+        self,
+        state: State,
+        attitude: Array,
+        scale: float,
+        now_s: float,
+        share: float,
+        least_s: float,
+        fastest_rad_s: float = np.inf,
     ) -> Joints | None:
         """Return the joints that take up attitude and scale as fast as their share of the limits allows."""
-        arm_m = max(self._reach_m * max(float(state.joints[0, 6]), scale), CLOSEST_M)
+        arm_m = self._arm_m(state, scale)
         limits = self._swarm.rules.limits
         per_joint = np.array([share / arm_m] * 3 + [GROWTH / self._reach_m])
         speed, jerk = limits.speed_m_s * per_joint, self._jerk_m_s3 * per_joint
+        speed[:3] = np.minimum(speed[:3], fastest_rad_s)
         turning = Joints(now_s, state.joints[:, 3:])
         goal = np.zeros((3, 4))
         goal[0, :3] = Rotation.from_matrix(attitude @ state.attitude.T).as_rotvec()

@@ -107,6 +107,22 @@ def test_a_face_that_looks_away_turns_before_it_moves() -> None:
     assert end.attitude[:, 0] @ (target - START.centre_enu_m) > 0.99 * 60.0
 
 
+@pytest.mark.parametrize(
+    "limits", [Limits(10.0, 5.0, 3.0, 1.5), Limits(10.0, 2.5, 2.5, 1.5, 5.0)], ids=["px4", "ardupilot"]
+)
+def test_a_turn_that_lifts_half_the_formation_keeps_climb_and_descent(limits: Limits) -> None:
+    for seed in range(12):
+        draw = np.random.default_rng(seed)
+        away = np.array([-1.0, 0.3, 0.0]) + 0.6 * draw.normal(size=3)
+        made = replanner(rules=replace(RULES, limits=limits))
+        replan = made.look(steady(0.0, START.centre_enu_m + 40.0 * away / np.linalg.norm(away)), 0.0)
+        assert replan.taken  # or it would stand here for ever
+        assert replan.mode is Mode.TURN
+        velocity = flown(made.ride, np.arange(0.0, made.ride.end_s, 0.01))[1]
+        assert velocity[:, :, 2].max() <= limits.climb_m_s
+        assert velocity[:, :, 2].min() >= -limits.descent_m_s
+
+
 def test_a_target_that_is_too_fast_is_chased_without_breaking_a_limit() -> None:
     made = replanner()
     for step in range(120):
