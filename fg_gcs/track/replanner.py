@@ -307,8 +307,8 @@ class Replanner:
 
     def _swinging(self, state: State, effort: Effort) -> Effort:
         """Return an effort that turns at least as hard as the formation does now: or the turn would swing past."""
-        arm_m = max(self._reach_m * float(state.joints[0, 6]), CLOSEST_M)
-        present = float(np.linalg.norm(state.joints[2, 3:6])) * arm_m / self._swarm.rules.limits.acceleration_m_s2
+        pull = float(np.linalg.norm(state.joints[2, 3:6])) * self._arm_m(state, 0.0)
+        present = pull / self._swarm.rules.limits.acceleration_m_s2
         return effort._replace(turn=max(effort.turn, min(present, ON_THE_SPOT[0].turn)))
 
     def _turning(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.core.formation import Pose
-from fg_gcs.track.estimator import Estimator, Settings
+from fg_gcs.track.estimator import Estimate, Estimator, Settings
 from fg_gcs.track.group import Group, GroupEstimate, needed_scale
 from fg_gcs.track.replanner import RUN_ON_S, WORTH_S, Goal, Mode, Replan, Replanner, Swarm
 from fg_gcs.track.ride import Ride
@@ -65,7 +65,7 @@ class Tracker:
 
     def known(self, now_s: float) -> GroupEstimate | None:
         """Return what is known of the targets now, None before they are seen."""
-        return self._group.at(now_s, {name: each.at(now_s) for name, each in self._estimators.items()})
+        return self._group.at(now_s, self._estimates(now_s))
 
     def replan(self, now_s: float) -> Replan | None:
         """Look for a better ride from now on; None while nothing is known.
@@ -81,15 +81,20 @@ class Tracker:
         if known is None:
             return
         scale = needed_scale(self._swarm.formation.inscribed_radius_m, known.radius_m, self._first_scale)
-        if len(known.lost) == len(self._tracking.weights) and known.age_s > RUN_ON_S - WORTH_S:
+        # Of the target seen last: one of several that is gone for good does not end what the others are followed by
+        age_s = min(each.age_s for each in self._estimates(now_s).values() if each is not None)
+        if len(known.lost) == len(self._tracking.weights) and age_s > RUN_ON_S - WORTH_S:
             yield self.replanner.wait(scale, now_s)
             return
-        goal = Goal(known.prediction, scale, known.age_s)
+        goal = Goal(known.prediction, scale, age_s)
         for replan in self.replanner.looking(goal, now_s):
             followed = replan is not None and replan.mode is Mode.FOLLOW
             if self.caught_s is None and followed and self.error_m(now_s) < self._tracking.capture_m:
                 self.caught_s = now_s
             yield replan
+
+    def _estimates(self, now_s: float) -> dict[str, Estimate | None]:
+        return {name: each.at(now_s) for name, each in self._estimators.items()}
 
     def error_m(self, now_s: float) -> float:
         """Return how far the formation's centre is from its place around the target, as far as known [m]."""

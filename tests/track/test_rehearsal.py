@@ -13,10 +13,10 @@ from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.track.estimator import Settings
 from fg_gcs.track.motions import Circle, Static, TrueMotion
 from fg_gcs.track.rehearsal import HOLDING, QUIET_S, TICK_S, Rehearsal, rehearse
-from fg_gcs.track.replanner import RUN_ON_S, Swarm
+from fg_gcs.track.replanner import RUN_ON_S, Mode, Swarm
 from fg_gcs.track.sensor import Sensor, SensorSettings
-from fg_gcs.track.sightings import Verdict
-from fg_gcs.track.tracker import Tracking
+from fg_gcs.track.sightings import Sighting, Verdict, isotropic
+from fg_gcs.track.tracker import Tracker, Tracking
 
 FORMATION = hemisphere(4, 1, 6.0)
 RULES = Rules(Limits(8.0, 4.0), 1.5, Fence((-40.0, -40.0, 2.0), (40.0, 40.0, 40.0)))
@@ -158,3 +158,21 @@ def test_a_target_that_is_seen_no_more_is_followed_on_for_a_while_with_a_growing
     assert run.scale[-1] == pytest.approx(most)
     assert run.scale[run.time_s < lost_s] == pytest.approx(1.0)
     assert (np.diff(run.scale[run.time_s > lost_s]) > -1e-9).all()  # the longer unseen, the larger
+
+
+def test_one_of_several_that_is_gone_does_not_end_what_the_others_are_followed_by() -> None:
+    tracking = Tracking({"boat": 1.0, "other": 1.0}, Settings(), most_radius_m=6.0)
+    tracker = Tracker(SWARM, tracking, START, 0.0)
+    for k in range(250):
+        now_s = 0.1 * k
+        for name, gone_s in (("boat", np.inf), ("other", 5.0)):
+            place = np.array([14.0, 2.0, 16.0])
+            if now_s < gone_s:
+                tracker.sighted(Sighting(name, now_s, place, isotropic(0.1), now_s), now_s)
+        tracker.replan(now_s)
+    known = tracker.known(25.0)
+    assert known is not None
+    assert known.lost == ("other",)
+    assert known.age_s > RUN_ON_S
+    assert tracker.replanner.mode is Mode.FOLLOW
+    assert tracker.ride.end_s > 24.9 + RUN_ON_S - 0.1  # the ride goes on for as long as one is trusted that is seen
