@@ -8,8 +8,8 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sitl_mock.server import SimulatorOptions
-    from sitl_mock.targets import TargetOptions
+    from sitl_mock.host.server import SimulatorOptions
+    from sitl_mock.host.targets import TargetOptions
 
 PX4_PORT_BASE = 18570  # where the real one listens
 EXAMPLES = """\
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         print(f"sitl_mock: {error}", file=sys.stderr)
         return USAGE_ERROR
-    from sitl_mock.session import simulate  # numpy and pymavlink: not for a mere --help
+    from sitl_mock.host.session import simulate  # numpy and pymavlink: not for a mere --help
 
     return simulate(options, arguments.with_parent)
 
@@ -111,7 +111,7 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
     Raises:
         ValueError: options that contradict each other.
     """
-    from sitl_mock.server import SimulatorOptions
+    from sitl_mock.host.server import SimulatorOptions
 
     pads = arguments.pads
     vehicles = (len(pads) if pads else 1) if arguments.vehicles is None else arguments.vehicles
@@ -224,7 +224,7 @@ def _origin(text: str) -> tuple[float, float, float]:
 
 
 def _target(text: str) -> TargetOptions:
-    from sitl_mock.targets import parse_target  # pymavlink: not for a mere --help
+    from sitl_mock.host.targets import parse_target  # pymavlink: not for a mere --help
 
     try:
         return parse_target(text)

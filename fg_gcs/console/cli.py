@@ -180,7 +180,7 @@ def _run(chosen: argparse.Namespace) -> int:
 
             return experiment(chosen.name, chosen.out)
         case "bench" if chosen.what == "track":
-            from fg_gcs.console.track_bench import Size, bench_track
+            from fg_gcs.experiment.track_bench import Size, bench_track
 
             return bench_track(
                 chosen.missions, Size(chosen.flights, chosen.seed, jobs=chosen.jobs), as_json=chosen.json

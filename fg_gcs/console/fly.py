@@ -18,26 +18,26 @@ import numpy as np
 from rich.console import Console
 
 from fg_gcs.console.closing import closing
-from fg_gcs.console.outlet import unhurried
+from fg_gcs.console.nonblocking import unhurried
 from fg_gcs.console.plan import load_planner, plan_keys
 from fg_gcs.console.progress import Progress
-from fg_gcs.console.simulator import (
+from fg_gcs.errors import FgError, LinkError, MissionError
+from fg_gcs.flight.director import Director, Result, Setup
+from fg_gcs.flight.target_follower import warm_up
+from fg_gcs.link.clock import make_loop
+from fg_gcs.link.endpoint import parse_endpoint
+from fg_gcs.mission import Mission, load_mission
+from fg_gcs.record.evaluate.evaluation import evaluate, evaluate_pursuit
+from fg_gcs.record.evaluate.tracking import KEYS, Pursued
+from fg_gcs.record.report.report import write_report
+from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder, plain
+from fg_gcs.run.simulators import (
     free_port,
     simulator_in_loop,
     simulator_process,
     targets_in_loop,
     targets_process,
 )
-from fg_gcs.errors import FgError, LinkError, MissionError
-from fg_gcs.flight.director import Director, Result, Setup
-from fg_gcs.flight.tracking import warm_up
-from fg_gcs.link.clock import make_loop
-from fg_gcs.link.endpoint import parse_endpoint
-from fg_gcs.mission import Mission, load_mission
-from fg_gcs.record.evaluation import evaluate, evaluate_pursuit
-from fg_gcs.record.moving import KEYS, Pursued
-from fg_gcs.record.recorder import REPORT, Recorder, make_folder, plain
-from fg_gcs.record.report import write_report
 
 VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time nobody else is there
 VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed one keeps a run's files the same

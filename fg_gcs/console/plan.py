@@ -12,7 +12,7 @@ from fg_gcs.errors import FgError, MissionError, PlanError
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
 from fg_gcs.plan.formulations import FormulationName
-from fg_gcs.record.recorder import plain
+from fg_gcs.record.write.recorder import plain
 
 
 def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
@@ -35,7 +35,7 @@ def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
         if as_json:
             print(json.dumps(plain(keys)), flush=True)
         if plot is not None:
-            from fg_gcs.record.plot import plot_plan
+            from fg_gcs.record.report.plot import plot_plan
 
             plot_plan(made, mission.task(), plot)
             print(f"drawn: {plot}", file=sys.stderr)
@@ -65,7 +65,7 @@ def report(folder: Path) -> int:
     Raises:
         MissionError: the folder does not hold a recorded run.
     """
-    from fg_gcs.record.report import write_report
+    from fg_gcs.record.report.report import write_report
 
     try:
         path = write_report(folder)
@@ -77,9 +77,8 @@ def report(folder: Path) -> int:
 
 def load_planner(formulations: Collection[FormulationName]) -> None:
     """Load the compiled planner for these formulations, and say so when it has to be compiled first."""
-    from fg_gcs.plan.compiled import build, drop_stale, is_built
+    from fg_gcs.plan.compiled import build, is_built
 
-    drop_stale()
     if not is_built(formulations):
         print("compiling the planner, once after installation (about half a minute) ...", file=sys.stderr)
     build(formulations)

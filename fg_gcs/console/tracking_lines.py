@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from rich.table import Table
 from rich.text import Text
 
-from fg_gcs.flight.tracking import Status, said
-from fg_gcs.track.group import GroupEstimate
-from fg_gcs.track.replanner import Mode
+from fg_gcs.flight.target_follower import Status, said
+from fg_gcs.track.estimate.group import GroupEstimate
+from fg_gcs.track.follow.replanner import Mode
 
 HEIGHT = 4  # lines of the picture that are kept for it, whether there is something to say or not
 GROWN = 0.005  # a change of size that shows in the two digits behind the point

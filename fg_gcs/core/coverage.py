@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fg_gcs.core import solid_angle
-
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
 
 FACING = 0.99  # a face counts as turned to its target from here on (the project's figure for "after the first turn")
 

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
 
 SAME_PLACE = 1e-6  # of the formation's size: slots nearer than this are one place
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
 
 # WGS84 defining constants (NIMA TR8350.2)
 SEMI_MAJOR_M = 6_378_137.0

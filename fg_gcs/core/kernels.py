@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numba import njit
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from fg_gcs.compiling import kernel
+from fg_gcs.core.arrays import Array
 
 
-@njit(cache=True)
+@kernel
 def polygon_flux(vertices: Array, source: Array) -> float:
     """Return the flux of a unit source through a polygon; vertices (N, 3) [m], source (3,) [m], result [sr].
 
@@ -46,7 +43,7 @@ def polygon_flux(vertices: Array, source: Array) -> float:
     return total
 
 
-@njit(cache=True)
+@kernel
 def edge_derivatives(ax: float, ay: float, az: float, bx: float, by: float, bz: float, out: Array) -> None:
     """Fill ``out`` with one edge's derivatives by its ends; both given as seen from the source [m].
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
 
 BLOCK_ELEMENTS = 2_000_000  # pairs times instants looked at together: some 100 MB of work space, whatever the swarm
 

@@ -19,9 +19,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
 
 FULL_SPHERE = 4.0 * np.pi
 HALF_SPHERE = 2.0 * np.pi

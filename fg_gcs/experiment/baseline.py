@@ -9,8 +9,8 @@ import numpy as np
 
 from fg_gcs.core import solid_angle
 from fg_gcs.errors import PlanError
+from fg_gcs.experiment.baselines.reference_planner import PaperPath, PaperPlan, plan_leaders, plan_swarm
 from fg_gcs.experiment.scenes import LIMITS, Scene
-from fg_gcs.plan.paper_way import PaperPath, PaperPlan, plan_leaders, plan_swarm
 
 Stopwatch = Callable[[], float]  # returns seconds
 Progress = Callable[[str], None]  # one line for people

@@ -13,15 +13,14 @@ from matplotlib.ticker import ScalarFormatter
 from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.experiment import ours
+from fg_gcs.experiment.baselines.least_squares import FREE_SIZE, HELD_SIZE, plan_least_squares
 from fg_gcs.experiment.flights import Flight
 from fg_gcs.experiment.scenes import LEADERS, LIMITS, Scene
-from fg_gcs.plan.least_squares import FREE_SIZE, HELD_SIZE, plan_least_squares
-from fg_gcs.record.charts import FOLLOWER_COLOUR, LEADER_COLOURS, LIMIT_COLOUR
-from fg_gcs.record.scene import FACE_COLOUR, TARGET_COLOUR
-from fg_gcs.track.rehearsal import Rehearsal
-
-Array = ours.Array
+from fg_gcs.record.report.charts import FOLLOWER_COLOUR, LEADER_COLOURS, LIMIT_COLOUR
+from fg_gcs.record.report.scene import FACE_COLOUR, TARGET_COLOUR
+from fg_gcs.run.kinematic import Rehearsal
 
 ENDINGS: dict[str, dict[str, str | None]] = {"png": {"Software": None}, "svg": {"Date": None}}  # no dates: same bytes
 POINTS = 200  # of a line: finer than the eye, and files stay small

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way
+from fg_gcs.experiment.baselines.reference_planner import PaperPlan
 from fg_gcs.experiment.scenes import LIMITS, Scene, scene
 from fg_gcs.experiment.tables import Cell, Column, Table
-from fg_gcs.plan.paper_way import PaperPlan
 
 TARGETS = ((40.0, 40.0, 40.0), (-20.0, 20.0, 20.0), (10.0, 10.0, 10.0), (-10.0, 10.0, 10.0))  # those it draws
 
@@ -36,9 +37,9 @@ COLUMNS = (
 class Norms(NamedTuple):
     """Norms over time of all vehicles."""
 
-    time_s: ours.Array  # (T,)
-    speed_m_s: ours.Array  # (T, V)
-    acceleration_m_s2: ours.Array  # (T, V)
+    time_s: Array  # (T,)
+    speed_m_s: Array  # (T, V)
+    acceleration_m_s2: Array  # (T, V)
 
 
 @dataclass(frozen=True)

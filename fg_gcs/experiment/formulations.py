@@ -16,9 +16,9 @@ from fg_gcs.experiment.scenes import LIMITS, TARGETS, Scene, draws, scene
 from fg_gcs.experiment.tables import Cell, Column, Table
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.paths import SwarmPath
-from fg_gcs.plan.proof import check
+from fg_gcs.plan.path.swarm_path import SwarmPath
 from fg_gcs.plan.trajectory import timed
+from fg_gcs.plan.verification import check
 
 SEED = 2103  # arbitrary
 DRAWS = 100

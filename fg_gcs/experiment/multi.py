@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way
 from fg_gcs.experiment.scenes import LEADERS, crowd
@@ -67,7 +68,7 @@ def multi(stopwatch: Stopwatch, progress: Progress, seed: int = SEED) -> Table:
     return Table("multi", "Several targets", TEXT, COLUMNS, rows)
 
 
-def _held(leaders_m: ours.Array, targets_m: ours.Array) -> float:
+def _held(leaders_m: Array, targets_m: Array) -> float:
     centre = leaders_m.mean(axis=0)
     radius_m = np.linalg.norm(leaders_m - centre, axis=1).mean()
     return float((np.linalg.norm(targets_m - centre, axis=1) <= radius_m).sum())

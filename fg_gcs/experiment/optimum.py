@@ -12,13 +12,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from fg_gcs.compiling import kernel
+from fg_gcs.core.arrays import Array
 from fg_gcs.plan.limits import Limits
-from fg_gcs.plan.paths import SwarmPath
-
-Array = NDArray[np.float64]
+from fg_gcs.plan.path.swarm_path import SwarmPath
 
 SPACING_M = 0.01  # a tenth of the spacing that the planner's timing starts from
 MIN_POINTS = 2001  # a short path needs a fine grid as well: its ends cost the most time
@@ -44,7 +42,7 @@ def shortest_duration_s(path: SwarmPath, limits: Limits) -> float:
     return float(_duration(squares, mixed, bends, ceiling, float(grid[1]), limits.acceleration_m_s2))
 
 
-@njit(cache=True)
+@kernel
 def _duration(squares: Array, mixed: Array, bends: Array, ceiling: Array, step: float, limit: float) -> float:
     """Run the grid backwards, then forwards; coefficients of shape (S, V), result [s]."""
     count = squares.shape[0]
@@ -70,7 +68,7 @@ def _duration(squares: Array, mixed: Array, bends: Array, ceiling: Array, step: 
     return duration
 
 
-@njit(cache=True)
+@kernel
 def _range(squares: Array, mixed: Array, bends: Array, x: float, limit: float) -> tuple[float, float]:
     """Path accelerations that keep every vehicle's norm at squared path speed ``x``; empty when the first is larger."""
     least, most = -math.inf, math.inf

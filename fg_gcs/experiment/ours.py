@@ -6,23 +6,21 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import FACING, coverage, flux_metric
 from fg_gcs.core.formation import Formation
 from fg_gcs.core.separation import Fence
 from fg_gcs.experiment.scenes import LEADERS, LIMITS, Scene
 from fg_gcs.plan.flux_guided import FluxPath, plan_path
 from fg_gcs.plan.free import plan_leaders
-from fg_gcs.plan.leader_paths import LeadersPath
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.plan.paths import SwarmPath
-from fg_gcs.plan.proof import CheckedPlan, check
-from fg_gcs.plan.rigid_path import PosePath
+from fg_gcs.plan.path.leader_paths import LeadersPath
+from fg_gcs.plan.path.rigid_path import PosePath
+from fg_gcs.plan.path.swarm_path import SwarmPath
 from fg_gcs.plan.trajectory import Trajectory, timed
-
-Array = NDArray[np.float64]
+from fg_gcs.plan.verification import CheckedPlan, check
 
 OPEN_M = 1e5  # a fence that no experiment reaches: the paper has none
 SEPARATION_SHARE = 0.95  # of the closest pair in the formation's own shape

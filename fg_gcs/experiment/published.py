@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fg_gcs.plan.least_squares import FREE_SIZE, HELD_SIZE
+from fg_gcs.experiment.baselines.least_squares import FREE_SIZE, HELD_SIZE
 
 FLUX_GUIDED = "FG"
 LENGTHS_M = {  # of the four leaders together; printed beside targets of 40 m, computed with these

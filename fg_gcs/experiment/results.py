@@ -9,7 +9,14 @@ from typing import NamedTuple
 from fg_gcs.experiment.baseline import Progress, Stopwatch
 from fg_gcs.experiment.flights import flights_table, fly_all
 from fg_gcs.experiment.formulations import formulations
-from fg_gcs.experiment.moving import DRAWN, SEEDS, rehearse_all, replan_durations_ms, replan_table, tracking_table
+from fg_gcs.experiment.moving_targets import (
+    DRAWN,
+    SEEDS,
+    rehearse_all,
+    replan_durations_ms,
+    replan_table,
+    tracking_table,
+)
 from fg_gcs.experiment.multi import multi
 from fg_gcs.experiment.scenes import TARGETS, scene
 from fg_gcs.experiment.sensitivity import sensitivity

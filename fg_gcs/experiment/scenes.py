@@ -9,12 +9,10 @@ from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.plan.limits import Limits
-
-Array = NDArray[np.float64]
 
 LIMITS = Limits(speed_m_s=10.0, acceleration_m_s2=5.0)  # the paper's
 EDGE_M = 5.0  # the paper's square

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way
 from fg_gcs.experiment.published import DRAWN_METRIC, DRAWN_TIME_S
@@ -108,7 +109,7 @@ def _ours(made: Scene, stopwatch: Stopwatch) -> tuple[ours.PathFigures, float]:
     return ours.path_figures(made, ours.plan(made).path), seconds
 
 
-def _summed(name: str, metrics: ours.Array, seconds: ours.Array, separation: float | None) -> tuple[Cell, ...]:
+def _summed(name: str, metrics: Array, seconds: Array, separation: float | None) -> tuple[Cell, ...]:
     return (
         name,
         float(len(metrics)),

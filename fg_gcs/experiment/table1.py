@@ -6,11 +6,11 @@ import numpy as np
 
 from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress
+from fg_gcs.experiment.baselines.least_squares import FREE_SIZE, HELD_SIZE, plan_least_squares
+from fg_gcs.experiment.baselines.reference_planner import plan_leaders
 from fg_gcs.experiment.published import FLUX_GUIDED, LENGTHS_M
 from fg_gcs.experiment.scenes import LEADERS, scene
 from fg_gcs.experiment.tables import Cell, Column, Table
-from fg_gcs.plan.least_squares import FREE_SIZE, HELD_SIZE, plan_least_squares
-from fg_gcs.plan.paper_way import plan_leaders
 
 TEXT = (
     "Way of the four leaders together, from a 5 m square that looks along +x. The published lengths stand beside "

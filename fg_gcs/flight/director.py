@@ -14,16 +14,16 @@ from fg_gcs.errors import VehicleError
 from fg_gcs.flight.fleet import Fleet, names
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
+from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT
 from fg_gcs.flight.sortie import Sortie
-from fg_gcs.flight.sources import SIMULATED_ENDPOINT
 from fg_gcs.flight.streamer import Streamer
-from fg_gcs.flight.tracking import Pursuit, Tracked
+from fg_gcs.flight.target_follower import Pursuit, Tracked
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import parse_endpoint
 from fg_gcs.link.router import Counters, Direction, Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight
-from fg_gcs.record.recorder import Recorder
+from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle

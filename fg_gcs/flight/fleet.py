@@ -6,16 +6,14 @@ import asyncio
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic_from_enu, rotate_ned_enu, swap_ned_enu
 from fg_gcs.errors import VehicleError
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
 from fg_gcs.wire.commands import Dialogue, Request, State
 from fg_gcs.wire.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 STEP_S = 0.02  # dialogues and conditions are looked at this often: faster than any acknowledgement but PX4's first
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from fg_gcs.link.router import Router
-from fg_gcs.record.recorder import Recorder
+from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.vehicle import Vehicle
 
 STAGES = ("connect", "prepare", "plan", "take-off", "gather", "approach", "hold", "home", "land")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from statistics import median
 
 from fg_gcs.flight.streamer import Streamer
-from fg_gcs.track.replanner import Replan
+from fg_gcs.track.follow.replanner import Replan
 
 FIRST_USUAL_S = 0.002  # that a step takes, until it is known
 REMEMBERED = 60  # durations of steps: some twenty plans, or two seconds of ten sightings a second

@@ -11,7 +11,7 @@ from fg_gcs.flight.fleet import STEP_S, Fleet, names, until
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
 from fg_gcs.plan.limits import Limits
-from fg_gcs.record.recorder import Recorder
+from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.autopilots import FailsafeParameter, TakeOff
 from fg_gcs.wire.commands import (
     Request,

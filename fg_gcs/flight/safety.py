@@ -7,14 +7,12 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Separation, closest_approach
 from fg_gcs.plan.limits import Rules
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 FENCE_SLACK_M = 0.5  # plans may touch the fence; a vehicle's tracking error is not yet a breach
 BATTERY_LOW = 0.15  # share left; real autopilots warn at 10 to 15 %

@@ -7,26 +7,23 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.errors import PlanError, VehicleError
-from fg_gcs.flight.chase import Chase
 from fg_gcs.flight.fleet import STEP_S, Fleet, names, until
+from fg_gcs.flight.formation_motion import Chase
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.safety import CONSEQUENCES, Action, Kind, faults
 from fg_gcs.flight.streamer import Brake, Follow, Motion, Rest, Streamer
-from fg_gcs.flight.tracking import Pursuit
+from fg_gcs.flight.target_follower import Pursuit
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, plan_home
-from fg_gcs.plan.proof import CheckedPlan, check
+from fg_gcs.plan.verification import CheckedPlan, check
 from fg_gcs.wire.autopilots import TakeOff
 from fg_gcs.wire.commands import arm, disarm, land, set_mode, take_off
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 WATCH_S = 0.1  # faults are looked for this often: at 10 m/s a metre of way
 ARRIVED_M = 1.0  # a vehicle this close to where it should rest has arrived: real PX4 wanders by 0.5 m while it hovers

@@ -11,17 +11,15 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import swap_ned_enu
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.link.clock import ticks
-from fg_gcs.plan.proof import CheckedPlan
 from fg_gcs.plan.trajectory import Sample
-from fg_gcs.record.recorder import Recorder
+from fg_gcs.plan.verification import CheckedPlan
+from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
-
-Array = NDArray[np.float64]
 
 REMEMBERED = 100  # rounds of setpoints: a second or two of them, which is longer than anybody asks back
 

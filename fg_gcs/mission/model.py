@@ -5,20 +5,18 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.core.separation import Fence
-from fg_gcs.mission.moving import MovingTarget, TrackTable
 from fg_gcs.mission.tables import Deviation, Finite, Ground, NotNegative, Point, Positive, SystemId, Table
+from fg_gcs.mission.target_tables import MovingTarget, TrackTable
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.targets import Charges, Target, centre_of_charge, effective_radius_m, uncertain
-
-Array = NDArray[np.float64]
 
 DEFAULT_ORIGIN = Geodetic(47.397742, 8.545594, 488.0)  # where PX4's own simulators start, near Zurich
 

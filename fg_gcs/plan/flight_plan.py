@@ -9,18 +9,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import FACING, coverage, flux_metric
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.proof import CheckedPlan, check
 from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import Peaks, timed
 from fg_gcs.plan.transit import NOTHING, Transit, gather, scatter
+from fg_gcs.plan.verification import CheckedPlan, check
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 FIGURES_HZ = 100.0  # density of the figures about an approach: every 0.1 m at 10 m/s

@@ -20,17 +20,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.fenced_search import furthest_outside, search_inside
-from fg_gcs.plan.poses import Poses
-from fg_gcs.plan.rigid_search import FOUND, NO_NUMBERS, ON_RIM, TOO_MANY, centre_of, search
+from fg_gcs.plan.path.poses import Poses
+from fg_gcs.plan.search.fenced import furthest_outside, search_inside
+from fg_gcs.plan.search.rigid import FOUND, NO_NUMBERS, ON_RIM, TOO_MANY, centre_of, search
 from fg_gcs.plan.targets import Charges
-
-Array = NDArray[np.float64]
 
 MAX_STEPS = 400  # a plan takes some 30; beyond this something is wrong, and saying so beats hanging
 SLIDE_M = 0.3  # longest part of the last slide of a bent path
@@ -43,7 +41,7 @@ class FluxPath:
     """The poses that the face passes, from its start to its hold around the target.
 
     The scale goes from the first pose's to the last one's along the whole way, see
-    :class:`fg_gcs.plan.rigid_path.PosePath`; in between the poses tell the scale that the search counted with.
+    :class:`fg_gcs.plan.path.rigid_path.PosePath`; in between the poses tell the scale that the search counted with.
     """
 
     poses: Poses

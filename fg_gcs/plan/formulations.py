@@ -15,18 +15,18 @@ from typing import Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import FluxPath, plan_path
-from fg_gcs.plan.free import LeaderPath, plan_leaders
-from fg_gcs.plan.leader_paths import LeadersPath
-from fg_gcs.plan.paths import SwarmPath
-from fg_gcs.plan.proof import ON_FENCE_M
-from fg_gcs.plan.rigid_path import PosePath
+from fg_gcs.plan.free import plan_leaders
+from fg_gcs.plan.path.leader_paths import LeaderPath, LeadersPath
+from fg_gcs.plan.path.rigid_path import PosePath
+from fg_gcs.plan.path.swarm_path import SwarmPath
 from fg_gcs.plan.targets import Charges
+from fg_gcs.plan.verification import ON_FENCE_M
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 FormulationName = Literal["rigid", "free"]

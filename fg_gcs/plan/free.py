@@ -31,39 +31,20 @@ What the flux alone leaves open is decided here, the first and the last as in th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.free_model import Shape
-from fg_gcs.plan.free_search import restore, search
-from fg_gcs.plan.rigid_search import FOUND, ON_RIM, STEP_M
-
-Array = NDArray[np.float64]
+from fg_gcs.plan.path.leader_paths import LeaderPath
+from fg_gcs.plan.search.free import restore, search
+from fg_gcs.plan.search.free_model import Shape
+from fg_gcs.plan.search.rigid import FOUND, ON_RIM, STEP_M
 
 MAX_STEPS = 1000  # a plan takes some 40; beyond this something is wrong, and saying so beats hanging
 PAIR_SHARE = 0.95  # least distance of leaders that are no neighbours, of that in the formation's own shape: no folding
 SMALLEST_SHARE = 0.97  # least distance of any pair, of the smallest in the shape: 0.95 and a reserve for the spline
-
-
-@dataclass(frozen=True)
-class LeaderPath:
-    """The leaders' places from start to hold, and the frame that the followers stand in; arrays are aligned."""
-
-    leaders_m: Array  # (K, N, 3) [m; ENU]
-    poses: tuple[Pose, ...]  # (K,) best fit of the formation's shape to the leaders
-    iterates: int  # steps of the trust-region method, refused ones included
-
-    def swarm_m(self, formation: Formation) -> Array:
-        """Return every vehicle's places, leaders first, shape (K, V, 3) [m; ENU]."""
-        centres = np.array([pose.centre_enu_m for pose in self.poses])
-        rotations = np.array([pose.rotation for pose in self.poses])
-        scaled = self.poses[0].scale * formation.followers_m
-        followers = centres[:, None, :] + np.einsum("kij,vj->kvi", rotations, scaled)
-        return np.concatenate((self.leaders_m, followers), axis=1)
 
 
 def plan_leaders(formation: Formation, start: Pose, target_enu_m: Array, hold_depth_m: float = 0.0) -> LeaderPath:

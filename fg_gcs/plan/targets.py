@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from fg_gcs.core import solid_angle
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation
 from fg_gcs.errors import PlanError
-
-Array = NDArray[np.float64]
 
 CLEARANCE_M = 10.0  # added to the targets' diameter: 5 m from the outermost one to the leaders' circle
 ASYMMETRY = 1e-9  # of the largest entry: more than rounding, and a matrix is no covariance

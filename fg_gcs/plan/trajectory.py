@@ -9,17 +9,15 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from fg_gcs.compiling import kernel
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.limits import Limits
-from fg_gcs.plan.paths import SwarmPath
-from fg_gcs.plan.profile import Profile
-from fg_gcs.plan.timing import time_optimal
-
-Array = NDArray[np.float64]
+from fg_gcs.plan.path.swarm_path import SwarmPath
+from fg_gcs.plan.timing.profile import Profile
+from fg_gcs.plan.timing.time_optimal import time_optimal
 
 BLEND_S = 0.05  # shortest window that accelerations are blended over: some setpoints, and 1 % of a short flight
 SURVEY_HZ = 200.0  # density of the proof, besides the instants where the jerk steps: in between all is smooth
@@ -155,9 +153,9 @@ class Trajectory:
 def timed(path: SwarmPath, limits: Limits, start_speed: float = 0.0, end_speed: float = 0.0) -> Trajectory:
     """Return the fastest trajectory of a path with continuous acceleration, and bounded jerk where a limit is given.
 
-    The time-optimal timing is averaged over a window, see :mod:`fg_gcs.plan.profile`. What then exceeds a limit between
-    two rests is mended by flying slower: stretching time by k divides speeds by k, accelerations by k squared and jerks
-    by k cubed. From or to a moving end the speeds there have to stay: the path is timed again under limits that are
+    The time-optimal timing is averaged over a window, see :mod:`fg_gcs.plan.timing.profile`. What then exceeds a
+    limit between two rests is mended by flying slower: stretching time by k divides speeds by k, accelerations by k
+    squared and jerks by k cubed. From or to a moving end the speeds there have to stay: the path is timed again under limits that are
     lower by what was exceeded, until nothing is.
 
     Args:
@@ -258,7 +256,7 @@ def place_text(position_m: Array) -> str:
     return "(" + ", ".join(f"{value:.1f}" for value in position_m) + ")"
 
 
-@njit(cache=True)
+@kernel
 def _motion(
     position: Array, first: Array, second: Array, rate: Array, growth: Array, time: Array, duration: float
 ) -> tuple[Array, Array, Array]:
@@ -279,7 +277,7 @@ def _motion(
     return moved, velocity, acceleration
 
 
-@njit(cache=True)
+@kernel
 def look(
     position: Array,
     first: Array,

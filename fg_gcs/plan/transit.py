@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Separation, closest_approach
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.plan.paths import LinePath
+from fg_gcs.plan.path.swarm_path import LinePath
 from fg_gcs.plan.trajectory import Trajectory, timed
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 CLEARANCE = 1.2  # lines are planned this many times wider than the minimum: room for tracking errors in flight

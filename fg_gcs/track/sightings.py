@@ -15,11 +15,9 @@ from enum import Enum
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.errors import MissionError
-
-Array = NDArray[np.float64]
 
 MOST_LINES = 100  # of one datagram: a sighting takes some hundred bytes, and an unfragmented datagram holds a dozen
 MOST_BYTES = 4096  # of one line: a sighting with a covariance and long decimals has a tenth of it

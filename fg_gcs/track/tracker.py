@@ -7,16 +7,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
-from fg_gcs.track.estimator import Estimate, Estimator, Settings
-from fg_gcs.track.group import Group, GroupEstimate, needed_scale
-from fg_gcs.track.replanner import RUN_ON_S, WORTH_S, Goal, Mode, Replan, Replanner, Swarm
-from fg_gcs.track.ride import Ride
+from fg_gcs.track.estimate.estimator import Estimate, Estimator, Settings
+from fg_gcs.track.estimate.group import Group, GroupEstimate, needed_scale
+from fg_gcs.track.follow.fail_safe import Ride
+from fg_gcs.track.follow.replanner import RUN_ON_S, WORTH_S, Goal, Mode, Replan, Replanner, Swarm
 from fg_gcs.track.sightings import Sighting, Verdict
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class Tracker:
         return next((replan for replan in self.replanning(now_s) if replan is not None), None)
 
     def replanning(self, now_s: float) -> Iterator[Replan | None]:
-        """Do the same in steps, see :meth:`fg_gcs.track.replanner.Replanner.looking`; none while nothing is known."""
+        """Do the same in steps, see :meth:`.Replanner.looking`; none while nothing is known."""
         known = self.known(now_s)
         if known is None:
             return

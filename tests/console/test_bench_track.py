@@ -10,17 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fg_gcs.console.cli import main, parser
-from fg_gcs.console.track_bench import KEYS, MISSIONS, ROUGH, Flight, Flyer, Size, commanded, fly_once, measure
+from fg_gcs.core.arrays import Array
 from fg_gcs.errors import PlanError
 from fg_gcs.experiment.random_missions import AUTOPILOTS, MOTIONS, random_mission
+from fg_gcs.experiment.track_bench import KEYS, MISSIONS, ROUGH, Flight, Flyer, Size, commanded, fly_once, measure
 from fg_gcs.mission import load_mission
-from fg_gcs.record.recorder import plain
+from fg_gcs.record.write.recorder import plain
 from tests.flight.harness import SMALL as SMALL_MISSION
-
-Array = NDArray[np.float64]
 
 FOLDER = Path(__file__).parents[2] / "missions"
 SMALL = Size(flights=0, seed=0, rehearsed_s=1.0)

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from fg_gcs.console.outlet import MOST_WAITING, Outlet, unhurried
+from fg_gcs.console.nonblocking import MOST_WAITING, Outlet, unhurried
 
 LARGE = 1 << 20  # more than any pipe holds
 

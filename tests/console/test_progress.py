@@ -15,10 +15,10 @@ from rich.console import Console
 from fg_gcs.console.closing import closing_lines
 from fg_gcs.console.progress import BEGIN_FRAME, END_FRAME, EVENT_LINES, HINT, Progress, vehicle_lines
 from fg_gcs.console.tracking_lines import HEIGHT, tracking_lines
-from fg_gcs.flight.tracking import Status
+from fg_gcs.flight.target_follower import Status
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission import Mission
-from fg_gcs.track.replanner import Mode
+from fg_gcs.track.follow.replanner import Mode
 from fg_gcs.track.sightings import Verdict
 from fg_gcs.wire.autopilots import PX4
 from fg_gcs.wire.phases import Phase

@@ -4,11 +4,9 @@ from typing import cast
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fg_gcs.core import solid_angle
-
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
 
 
 def polygon(count: int, radius: float = 3.0) -> Array:

@@ -4,14 +4,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fg_gcs.core import solid_angle
+from fg_gcs.core.arrays import Array
 from fg_gcs.errors import PlanError
-from fg_gcs.experiment.scenes import LIMITS, Scene, scene
-from fg_gcs.plan.least_squares import FREE_SIZE, HELD_SIZE, Baseline, plan_least_squares
-from fg_gcs.plan.limits import Limits
-from fg_gcs.plan.paper_way import (
+from fg_gcs.experiment.baselines.least_squares import FREE_SIZE, HELD_SIZE, Baseline, plan_least_squares
+from fg_gcs.experiment.baselines.reference_planner import (
     THINNED_M,
     central_gradient,
     face_flux,
@@ -20,8 +18,8 @@ from fg_gcs.plan.paper_way import (
     plan_swarm,
     thinned,
 )
-
-Array = NDArray[np.float64]
+from fg_gcs.experiment.scenes import LIMITS, Scene, scene
+from fg_gcs.plan.limits import Limits
 
 FRONT, BEHIND = (50.0, 50.0, 50.0), (-50.0, 50.0, 50.0)
 

@@ -12,7 +12,7 @@ from fg_gcs.experiment import ours
 from fg_gcs.experiment.bench import Size, bench_plan
 from fg_gcs.experiment.scenes import LIMITS, draws, scene
 from fg_gcs.plan.limits import Limits
-from fg_gcs.plan.paths import LinePath
+from fg_gcs.plan.path.swarm_path import LinePath
 from fg_gcs.plan.trajectory import timed
 
 KEYS = [

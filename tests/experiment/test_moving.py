@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fg_gcs.experiment import drawings
-from fg_gcs.experiment.moving import (
+from fg_gcs.experiment.moving_targets import (
     CIRCLE,
     DRAWN,
     LOST,
@@ -24,7 +24,7 @@ from fg_gcs.experiment.moving import (
     run,
     tracking_table,
 )
-from fg_gcs.track.rehearsal import Rehearsal
+from fg_gcs.run.kinematic import Rehearsal
 
 SECONDS = 20.0  # the circle is caught by then
 

@@ -8,7 +8,7 @@ from fg_gcs.experiment.flights import bang_bang_s
 from fg_gcs.experiment.optimum import shortest_duration_s
 from fg_gcs.experiment.scenes import LIMITS, draws, scene
 from fg_gcs.plan.limits import Limits
-from fg_gcs.plan.paths import LinePath
+from fg_gcs.plan.path.swarm_path import LinePath
 
 
 @pytest.mark.parametrize("way_m", [0.5, 3.0, 19.0, 21.0, 66.4])

@@ -10,17 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as dialect
 from scipy.spatial.distance import pdist
 
 from fg_gcs.flight.director import Director, Result, Setup
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.record.recorder import Recorder
-from sitl_mock.server import Simulator, SimulatorOptions
-
-Array = NDArray[np.float64]
+from fg_gcs.record.write.recorder import Recorder
+from sitl_mock.host.server import Simulator, SimulatorOptions
 
 GROUND_PORT, OTHER_PORT = 14550, 14551  # ours, and another ground station's
 SMALL = """

@@ -12,8 +12,8 @@ import pytest
 from fg_gcs.core.formation import Pose
 from fg_gcs.flight.planning import LATE_S, Planning
 from fg_gcs.link.clock import VirtualTimeLoop
-from fg_gcs.track.replanner import Mode, Replan
-from fg_gcs.track.ride import Ride
+from fg_gcs.track.follow.fail_safe import Ride
+from fg_gcs.track.follow.replanner import Mode, Replan
 from tests.flight.harness import Flight, Script, fly
 
 FOUND = Replan(Ride.resting(Pose(np.zeros(3), np.eye(3)), 0.0), Mode.FOLLOW, taken=True)

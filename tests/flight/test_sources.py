@@ -13,21 +13,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.console.simulator import free_port, targets_in_loop, targets_process
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import geodetic_from_enu
 from fg_gcs.errors import LinkError
-from fg_gcs.flight.sources import SIMULATED_ENDPOINT, Sources
+from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, Sources
 from fg_gcs.link.clock import VirtualTimeLoop, make_loop
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.mission.model import DEFAULT_ORIGIN
-from fg_gcs.track.motions import Circle
-from fg_gcs.track.sensor import Sensor
+from fg_gcs.run.simulators import free_port, targets_in_loop, targets_process
+from fg_gcs.scenario.motions import Circle
+from fg_gcs.scenario.sensor import Sensor
 from fg_gcs.track.sightings import Sighting, Verdict
 
-Array = NDArray[np.float64]
 MISSIONS = Path(__file__).parents[2] / "missions"
 WHOLE = (MISSIONS / "circle.toml").read_text()
 BEFORE, BEHIND = WHOLE[: WHOLE.index("[[targets]]")], "[track]\nmost_radius_m = 3.0\n" + WHOLE[WHOLE.index("[hold]") :]

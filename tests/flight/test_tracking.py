@@ -8,19 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fg_gcs.console.cli import main
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import ticks
-from fg_gcs.record.table import load
-from fg_gcs.track.motions import Circle
-from sitl_mock.server import Simulator, SimulatorOptions
-from sitl_mock.targets import parse_target
+from fg_gcs.record.write.table import load
+from fg_gcs.scenario.motions import Circle
+from sitl_mock.host.server import Simulator, SimulatorOptions
+from sitl_mock.host.targets import parse_target
 from tests.flight.harness import CIRCLE, CIRCLING, Flight, OtherStation, fly, mission_of, moving
 
-Array = NDArray[np.float64]
 AUTOPILOTS = ("px4", "ardupilot")
 PORT = 15000
 WAY = Circle((0.0, 0.0, 12.0), 15.0, 2.0)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.mission.moving import UdpSource, VehicleSource
+from fg_gcs.mission.target_tables import UdpSource, VehicleSource
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 GOOD = (MISSIONS / "circle.toml").read_text()

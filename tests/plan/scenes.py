@@ -5,15 +5,13 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.targets import Target
-
-Array = NDArray[np.float64]
 
 PAPER = hemisphere(4, 5, 5.0)
 START = Pose(np.array([0.0, 2.5, 2.5]), facing(np.array([1.0, 0.0, 0.0])))

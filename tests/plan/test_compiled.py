@@ -2,42 +2,67 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 import fg_gcs
-from fg_gcs.plan import profile, rigid_path, rigid_search, timing, trajectory
+from fg_gcs import compiling
+from fg_gcs.compiling import cache_folder, sources_hash
+from fg_gcs.plan import trajectory
 from fg_gcs.plan.compiled import build, is_built
+from fg_gcs.plan.path import rigid_path
+from fg_gcs.plan.search import rigid
+from fg_gcs.plan.timing import profile, time_optimal
 from tests.plan.scenes import compiled
+
+PACKAGE = Path(fg_gcs.__file__).parent
 
 
 def test_once_built_the_planner_is_in_its_cache_and_compiles_no_more() -> None:
     build()
     assert is_built()
-    kernels = (rigid_search.search, timing._reach, profile._averaged, trajectory.look, rigid_path._rigid_points)  # noqa: SLF001 # what build() is for
+    kernels: tuple[Any, ...] = (
+        rigid.search,
+        time_optimal._reach,
+        profile._averaged,
+        trajectory.look,
+        rigid_path._rigid_points,
+    )  # noqa: SLF001 # what build() is for
     before = [kernel.signatures for kernel in kernels]
     assert all(before)
     compiled()
     assert [kernel.signatures for kernel in kernels] == before
 
 
-def test_cached_code_older_than_a_source_is_dropped(tmp_path: Path) -> None:
-    """In a process of its own, on a copy, so that no other test compiles again."""
-    package = Path(fg_gcs.__file__).parent
+def test_machine_code_is_kept_in_the_folder_of_its_sources() -> None:
+    build()
+    assert list(cache_folder().rglob("rigid.search-*.nbi"))
+
+
+@pytest.mark.parametrize("changed", ["core/kernels.py", "plan/path/splines.py", "track/follow/axes.py", "compiling.py"])
+def test_other_sources_have_another_folder(changed: str, tmp_path: Path) -> None:
     copy = tmp_path / "fg_gcs"
-    shutil.copytree(package, copy, ignore=shutil.ignore_patterns("*.nbi", "*.nbc"))
-    cache = copy / "plan" / "__pycache__"
-    cache.mkdir(exist_ok=True)
-    stale = cache / "rigid_search.search-1.py311.nbi"
-    stale.write_bytes(b"")
-    os.utime(stale, (1.0, 1.0))
-    fresh = cache / "rigid_search.search-2.py311.nbi"
-    fresh.write_bytes(b"")
-    script = "from fg_gcs.plan.compiled import drop_stale, is_built; drop_stale(); print(is_built())"
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    command = [sys.executable, "-c", script]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "True"
-    assert not stale.exists()
-    assert fresh.exists()
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    before = sources_hash(copy)
+    (copy / changed).write_bytes((copy / changed).read_bytes() + b"# another line\n")
+    assert sources_hash(copy) != before
+
+
+def test_what_is_not_compiled_changes_nothing(tmp_path: Path) -> None:
+    copy = tmp_path / "fg_gcs"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    before = sources_hash(copy)
+    (copy / "console" / "cli.py").write_text("")
+    assert sources_hash(copy) == before
+
+
+def test_folders_that_nothing_was_written_to_for_days_are_dropped(tmp_path: Path) -> None:
+    folders = {name: tmp_path / f"kernels-cpython-{name}" for name in ("own", "fresh", "old")}
+    for folder in folders.values():
+        folder.mkdir()
+    os.utime(folders["own"], (1.0, 1.0))
+    os.utime(folders["old"], (1.0, 1.0))
+    compiling._drop_unused(folders["own"])  # noqa: SLF001 # what opening a folder does to its neighbours
+    assert [name for name, folder in folders.items() if folder.exists()] == ["own", "fresh"]

@@ -11,7 +11,7 @@ from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
-from fg_gcs.plan.rigid_path import PosePath
+from fg_gcs.plan.path.rigid_path import PosePath
 from tests.plan.scenes import PAPER, compiled, task
 
 FLOOR = Fence((-60.0, -60.0, 3.0), (60.0, 60.0, 60.0))

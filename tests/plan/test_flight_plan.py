@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.separation import smallest_over_time
 from fg_gcs.errors import PlanError
@@ -16,8 +16,6 @@ from fg_gcs.plan.flight_plan import FlightPlan, Task
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.targets import Charges, Target, centre_of_charge
 from tests.plan.scenes import PAPER, compiled, task
-
-Array = NDArray[np.float64]
 
 POINTS = np.array([(10.0, 10.0, 20.0), (14.0, 6.0, 22.0), (12.0, 12.0, 25.0)])
 

@@ -2,20 +2,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import FACING, coverage, flux_metric
 from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import FluxPath, plan_path
-from fg_gcs.plan.rigid_path import PosePath
-from fg_gcs.plan.rigid_search import charged_flux, place, pose_derivatives, turned
+from fg_gcs.plan.path.rigid_path import PosePath
+from fg_gcs.plan.search.rigid import charged_flux, place, pose_derivatives, turned
 from fg_gcs.plan.targets import Charges
 from tests.plan.scenes import PAPER, START
-
-Array = NDArray[np.float64]
 
 
 def rims(formation: Formation, path: FluxPath) -> Array:

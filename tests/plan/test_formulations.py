@@ -6,10 +6,10 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.formation import Pose, hemisphere
 from fg_gcs.core.separation import Fence
@@ -17,11 +17,9 @@ from fg_gcs.errors import PlanError
 from fg_gcs.plan.compiled import build, is_built
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.free import plan_leaders
-from fg_gcs.plan.leader_paths import LeadersPath
+from fg_gcs.plan.path.leader_paths import LeadersPath
 from fg_gcs.plan.targets import Charges
 from tests.plan.scenes import PAPER, START
-
-Array = NDArray[np.float64]
 
 OPEN = Fence((-999.0, -999.0, -999.0), (999.0, 999.0, 999.0))
 BEHIND = np.array([-10.0, 10.0, 10.0])

@@ -2,22 +2,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.core.kernels import polygon_flux
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
-from fg_gcs.plan.free import PAIR_SHARE, SMALLEST_SHARE, LeaderPath, plan_leaders, shape_of
-from fg_gcs.plan.free_model import model
-from fg_gcs.plan.free_search import DEPARTURE, restore
-from fg_gcs.plan.leader_paths import LeadersPath
+from fg_gcs.plan.free import PAIR_SHARE, SMALLEST_SHARE, plan_leaders, shape_of
+from fg_gcs.plan.path.leader_paths import LeaderPath, LeadersPath
+from fg_gcs.plan.search.free import DEPARTURE, restore
+from fg_gcs.plan.search.free_model import model
 from tests.plan.scenes import PAPER, START
-
-Array = NDArray[np.float64]
 
 SEPARATION = 0.95  # least share of the smallest distance in the formation's own shape, on the way from pose to pose too
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
-from fg_gcs.plan.paths import KNOT_M, thinned
-from fg_gcs.plan.rigid_path import PosePath
-from fg_gcs.plan.splines import natural_cubic, rotation_spline
+from fg_gcs.plan.path.rigid_path import PosePath
+from fg_gcs.plan.path.splines import natural_cubic, rotation_spline
+from fg_gcs.plan.path.swarm_path import KNOT_M, thinned
 from tests.plan.scenes import PAPER, START
-
-Array = NDArray[np.float64]
 
 
 def drawn_knots(draw: np.random.Generator, count: int) -> Array:

@@ -2,14 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fg_gcs.core import solid_angle
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.targets import Charges, Target, centre_of_charge, edge_for_radius_m, uncertain
-
-Array = NDArray[np.float64]
 
 RIM_FORMATION = hemisphere(5, 0, 4.0)
 RIM = RIM_FORMATION.leaders_m

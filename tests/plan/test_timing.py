@@ -10,9 +10,9 @@ from toppra import algorithm, constraint
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
 from fg_gcs.plan.limits import Limits
-from fg_gcs.plan.paths import LinePath
-from fg_gcs.plan.rigid_path import PosePath
-from fg_gcs.plan.timing import fine_grid, strictest, time_optimal
+from fg_gcs.plan.path.rigid_path import PosePath
+from fg_gcs.plan.path.swarm_path import LinePath
+from fg_gcs.plan.timing.time_optimal import fine_grid, strictest, time_optimal
 from tests.plan.scenes import PAPER, START
 
 

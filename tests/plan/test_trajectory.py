@@ -13,12 +13,12 @@ from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.plan.paths import LinePath, SwarmPath
-from fg_gcs.plan.profile import Profile
-from fg_gcs.plan.proof import check
-from fg_gcs.plan.rigid_path import PosePath, ball_points
-from fg_gcs.plan.timing import strictest, time_optimal
+from fg_gcs.plan.path.rigid_path import PosePath, ball_points
+from fg_gcs.plan.path.swarm_path import LinePath, SwarmPath
+from fg_gcs.plan.timing.profile import Profile
+from fg_gcs.plan.timing.time_optimal import strictest, time_optimal
 from fg_gcs.plan.trajectory import BLEND_S, Trajectory, timed
+from fg_gcs.plan.verification import check
 from tests.plan.scenes import LIMITS, PAPER, START, compiled, task, tops
 
 WIDE = Rules(LIMITS, 1.5, Fence((-1e4, -1e4, -1e4), (1e4, 1e4, 1e4)))

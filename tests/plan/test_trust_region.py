@@ -2,11 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from fg_gcs.plan.trust_region import maximise_in_ball
-
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
+from fg_gcs.plan.search.trust_region import maximise_in_ball
 
 
 def gain(gradient: Array, hessian: Array, point: Array) -> float:

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fg_gcs.record.recorder import Recorder
-from fg_gcs.record.table import SETPOINTS, TELEMETRY, TICKS, Columns, Table
-
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
+from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.record.write.table import SETPOINTS, TELEMETRY, TICKS, Columns, Table
 
 STAGES = {
     "connect": (0.0, 0.5),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fg_gcs.core.coverage import flux_metric
-from fg_gcs.record.figures import Whereabouts, figures, flown
-from fg_gcs.record.table import SETPOINTS, TELEMETRY, TICKS, Columns, Table
+from fg_gcs.record.evaluate.figures import Whereabouts, figures, flown
+from fg_gcs.record.write.table import SETPOINTS, TELEMETRY, TICKS, Columns, Table
 from tests.record.flights import STAGES, TARGET, Circle, columns_of, empty, instants
 
 LEADERS = (1, 2, 3, 4)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, hemisphere
-from fg_gcs.record.figures import Flown, Whereabouts
-from fg_gcs.record.moving import (
+from fg_gcs.record.evaluate.figures import Flown, Whereabouts
+from fg_gcs.record.evaluate.tracking import (
     KEYS,
     Pursued,
     commanded_steps,
@@ -22,11 +22,10 @@ from fg_gcs.record.moving import (
     tracking_figures,
     true_centre,
 )
-from fg_gcs.record.table import REPLANS, SETPOINTS, SIGHTINGS, TICKS, TRUTH, Table
+from fg_gcs.record.write.table import REPLANS, SETPOINTS, SIGHTINGS, TICKS, TRUTH, Table
 from fg_gcs.track.sightings import Verdict
 from tests.record.flights import empty
 
-Array = NDArray[np.float64]
 LOPSIDED = Formation(np.array([(0, -3, -2), (0, 5, -1), (0, 4, 3), (0, -2, 6)], dtype=float), np.empty((0, 3)))
 TAKEN, GATED = (list(Verdict).index(verdict) for verdict in (Verdict.TAKEN, Verdict.GATED))
 DEPTH_M = 0.7

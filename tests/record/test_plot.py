@@ -9,8 +9,8 @@ import pytest
 from fg_gcs.errors import MissionError
 from fg_gcs.plan.flight_plan import FlightPlan
 from fg_gcs.plan.targets import Charges, Target
-from fg_gcs.record.plot import plot_plan
-from fg_gcs.record.scene import TARGET_COLOUR
+from fg_gcs.record.report.plot import plot_plan
+from fg_gcs.record.report.scene import TARGET_COLOUR
 from tests.plan.scenes import compiled, task
 
 BEGINNINGS = {"png": b"\x89PNG\r\n", "svg": b"<?xml", "pdf": b"%PDF"}

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_gcs.record.recorder import EVENTS, MISSION, SUMMARY, TLOG, Recorder, make_folder, plain
-from fg_gcs.record.table import load
+from fg_gcs.record.write.recorder import EVENTS, MISSION, SUMMARY, TLOG, Recorder, make_folder, plain
+from fg_gcs.record.write.table import load
 
 NOW = datetime(2026, 2, 3, 4, 5, 6)
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text()

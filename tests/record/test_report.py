@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from fg_gcs.record.charts import acceleration_chart, lateness_chart, speed_chart, thinned
-from fg_gcs.record.recorder import EVENTS, MISSION, SUMMARY
-from fg_gcs.record.report import write_report
-from fg_gcs.record.run import load_run
-from fg_gcs.record.scene import along, scene
-from fg_gcs.record.table import SETPOINTS, TELEMETRY, TICKS, Table, load
+from fg_gcs.record.read.run import load_run
+from fg_gcs.record.report.charts import acceleration_chart, lateness_chart, speed_chart, thinned
+from fg_gcs.record.report.report import write_report
+from fg_gcs.record.report.scene import along, scene
+from fg_gcs.record.write.recorder import EVENTS, MISSION, SUMMARY
+from fg_gcs.record.write.table import SETPOINTS, TELEMETRY, TICKS, Table, load
 from tests.record.flights import SUMMARY as FIGURES
 from tests.record.flights import write_run
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_gcs.record.recorder import EVENTS, MISSION, SUMMARY
-from fg_gcs.record.report import write_report
-from fg_gcs.record.run import IN_FLIGHT, load_run
+from fg_gcs.record.read.run import IN_FLIGHT, load_run
+from fg_gcs.record.report.report import write_report
+from fg_gcs.record.write.recorder import EVENTS, MISSION, SUMMARY
 from tests.record.flights import STAGES, TARGET, write_run
 
 NAME = "2026-02-03T04-05-06-circle"

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_gcs.record.table import SETPOINTS, TELEMETRY, TICKS, Table, load
+from fg_gcs.record.write.table import SETPOINTS, TELEMETRY, TICKS, Table, load
 
 WIDTHS = st.dictionaries(st.from_regex(r"[a-z]{1,8}", fullmatch=True), st.integers(1, 4), min_size=1, max_size=5)
 NUMBERS = st.floats(width=64)

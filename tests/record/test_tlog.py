@@ -3,7 +3,7 @@ from pathlib import Path
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common
 
-from fg_gcs.record.tlog import TlogWriter
+from fg_gcs.record.write.tlog import TlogWriter
 
 EPOCH_S = 1_700_000_000.0
 

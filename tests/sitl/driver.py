@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as dialect
 
-from sitl_mock.autopilot import Autopilot
-from sitl_mock.fleet import Fleet, FleetOptions, Sent
+from sitl_mock.autopilot.autopilot import Autopilot
+from sitl_mock.host.fleet import Fleet, FleetOptions, Sent
 from sitl_mock.messages import Landed
 
 TICK_S = 0.01

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sitl_mock.geodesy import Geodetic, World
+from sitl_mock.physics.geodesy import Geodetic, World
 
 metres = st.floats(-20_000.0, 20_000.0)
 

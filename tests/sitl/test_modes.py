@@ -6,9 +6,9 @@ import struct
 
 import pytest
 
-from sitl_mock.manners import MANNERS, Behaviour, Event, Need
+from sitl_mock.autopilot.profiles import MANNERS, Behaviour, Event, Need
 from sitl_mock.messages import Landed, Status
-from sitl_mock.reference import Thrust
+from sitl_mock.physics.reference import Thrust
 from tests.sitl.driver import (
     AP_LAND,
     AP_RTL,

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
-from sitl_mock.manners import PX4
-from sitl_mock.parameters import Parameters
+from sitl_mock.autopilot.parameters import Parameters
+from sitl_mock.autopilot.profiles import PX4
 from tests.sitl.driver import ready
 
 INT8, INT32, REAL32 = 2, 6, 9

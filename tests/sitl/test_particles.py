@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from sitl_mock.particles import Swarm, enu_from_ned
-from sitl_mock.physics import load_physics
-from sitl_mock.reference import ALL, NONE, Limits, Reference, Vec3
+from sitl_mock.physics.constants import load_physics
+from sitl_mock.physics.particles import Swarm, enu_from_ned
+from sitl_mock.physics.reference import ALL, NONE, Limits, Reference, Vec3
 
 PHYSICS = load_physics()
 LIMITS = Limits(speed_m_s=12.0, climb_m_s=3.0, descent_m_s=1.5, acceleration_m_s2=3.0, step_gain_per_s=1.0)

@@ -16,8 +16,8 @@ from fastcrc import crc16
 from pymavlink.dialects.v20 import all as dialect
 
 from sitl_mock.__main__ import grid
-from sitl_mock.server import Counters, PortUnavailable, Simulator, SimulatorOptions
-from sitl_mock.services import HANDLERS
+from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
+from sitl_mock.protocol.services import HANDLERS
 from tests.sitl.process import free_udp_port, simulator
 
 Address = tuple[str, int]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sitl_mock.setpoints import (
+from sitl_mock.autopilot.setpoints import (
     LETHAL,
     Situation,
     Understood,

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.core.frames import Geodetic, enu_from_geodetic
-from fg_gcs.track.motions import Circle, FigureEight, Static, TrueMotion
-from fg_gcs.track.waypoints import Waypoints
-from sitl_mock.server import Simulator, SimulatorOptions
-from sitl_mock.targets import TargetOptions, Targets, parse_target
+from fg_gcs.scenario.motions import Circle, FigureEight, Static, TrueMotion
+from fg_gcs.scenario.waypoints import Waypoints
+from sitl_mock.host.server import Simulator, SimulatorOptions
+from sitl_mock.host.targets import TargetOptions, Targets, parse_target
 from tests.sitl.process import simulator
 from tests.sitl.test_server import STATION, VirtualLoop
 

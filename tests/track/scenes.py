@@ -4,13 +4,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fg_gcs.track.estimator import Estimate, Estimator, Model
-from fg_gcs.track.kalman import Dynamics
+from fg_gcs.core.arrays import Array
+from fg_gcs.track.estimate.estimator import Estimate, Estimator, Model
+from fg_gcs.track.estimate.kalman import Dynamics
 from fg_gcs.track.sightings import Sighting, isotropic
 
-Array = NDArray[np.float64]
 Motion = Callable[[float], Array]
 
 SIGMA_M = 0.5

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fg_gcs.track.estimator import Estimator, Model, Settings
-from fg_gcs.track.kalman import FLOOR_M2
+from fg_gcs.core.arrays import Array
+from fg_gcs.track.estimate.estimator import Estimator, Model, Settings
+from fg_gcs.track.estimate.kalman import FLOOR_M2
 from fg_gcs.track.sightings import Verdict
 from tests.track.scenes import (
     DELAY_S,
     NOISE_M2,
     SIGMA_M,
     SINGLE,
-    Array,
     Motion,
     circle,
     dodging,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fg_gcs.errors import PlanError
-from fg_gcs.track.estimator import MOST_KEPT, OLDEST_S, Estimator, Model, Settings
+from fg_gcs.track.estimate.estimator import MOST_KEPT, OLDEST_S, Estimator, Model, Settings
 from fg_gcs.track.sightings import Sighting, Verdict
 from tests.track.scenes import DELAY_S, MODELS, SIGMA_M, circle, known, same, seen, turns
 

@@ -2,11 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from fg_gcs.track.follow import Bounds, Joints
-
-Array = NDArray[np.float64]
+from fg_gcs.track.follow.axes import Bounds, Joints
 
 
 def bounds(count: int = 3, speed: float = 3.0, acceleration: float = 2.0, jerk: float = 10.0) -> Bounds:

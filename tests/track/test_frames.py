@@ -4,12 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from fg_gcs.track.frames import JOINTS, Frames, frames_of, state_of
-
-Array = NDArray[np.float64]
+from fg_gcs.core.arrays import Array
+from fg_gcs.track.follow.formation_frames import JOINTS, Frames, frames_of, state_of
 
 
 def polynomials(seed: int, scale: float) -> Callable[[Array], Array]:

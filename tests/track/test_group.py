@@ -8,9 +8,9 @@ import pytest
 from fg_gcs.core.formation import hemisphere
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.targets import uncertain
-from fg_gcs.track.estimator import Estimate, Settings
-from fg_gcs.track.group import Group, GroupEstimate, needed_scale
-from fg_gcs.track.mixture import Belief
+from fg_gcs.track.estimate.estimator import Estimate, Settings
+from fg_gcs.track.estimate.group import Group, GroupEstimate, needed_scale
+from fg_gcs.track.estimate.imm import Belief
 
 LOST_S = 1.0
 MOST_M = 30.0

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad_vec
 
-from fg_gcs.track.estimator import Settings
-from fg_gcs.track.kalman import (
+from fg_gcs.core.arrays import Array
+from fg_gcs.track.estimate.estimator import Settings
+from fg_gcs.track.estimate.kalman import (
     FASTEST_TURN_RAD_S,
     FLOOR_M2,
     SLOW_M_S,
@@ -21,7 +22,7 @@ from fg_gcs.track.kalman import (
     turning,
     update,
 )
-from tests.track.scenes import Array, turns
+from tests.track.scenes import turns
 
 WHITE = Settings(model="velocity").dynamics[0]
 TURNING, FADING = Settings(model="mixed").dynamics

@@ -12,10 +12,11 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, multivariate_normal
 
-from fg_gcs.track.estimator import Estimator, Settings
-from fg_gcs.track.kalman import FLOOR_M2, Dynamics, predict, steadied, turn_rate, update
-from fg_gcs.track.mixture import LEAST_WEIGHT, Belief, Prediction, carried_on, changes, filtered, merged
-from tests.track.scenes import SIGMA_M, Array, Motion, circle, dodging, known, seen, turns
+from fg_gcs.core.arrays import Array
+from fg_gcs.track.estimate.estimator import Estimator, Settings
+from fg_gcs.track.estimate.imm import LEAST_WEIGHT, Belief, Prediction, carried_on, changes, filtered, merged
+from fg_gcs.track.estimate.kalman import FLOOR_M2, Dynamics, predict, steadied, turn_rate, update
+from tests.track.scenes import SIGMA_M, Motion, circle, dodging, known, seen, turns
 from tests.track.test_kalman import FADING, TURNING, WHITE, stepped
 
 BOTH = (TURNING, FADING)

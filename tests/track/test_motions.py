@@ -4,14 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from fg_gcs.track.motions import Circle, FigureEight, Static, TrueMotion
-from fg_gcs.track.random_walk import RandomWalk
-from fg_gcs.track.recorded import Recorded
-from fg_gcs.track.waypoints import Waypoints
-
-Array = NDArray[np.float64]
+from fg_gcs.scenario.motions import Circle, FigureEight, Static, TrueMotion
+from fg_gcs.scenario.random_walk import RandomWalk
+from fg_gcs.scenario.recorded import Recorded
+from fg_gcs.scenario.waypoints import Waypoints
 
 SQUARE = [(0.0, 0.0, 10.0), (40.0, 0.0, 10.0), (40.0, 30.0, 16.0), (0.0, 30.0, 12.0)]
 BOX = ((-30.0, -20.0, 12.0), (30.0, 40.0, 15.0))

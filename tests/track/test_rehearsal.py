@@ -10,11 +10,11 @@ from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.formation import Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.track.estimator import Settings
-from fg_gcs.track.motions import Circle, Static, TrueMotion
-from fg_gcs.track.rehearsal import HOLDING, QUIET_S, TICK_S, Rehearsal, rehearse
-from fg_gcs.track.replanner import RUN_ON_S, Mode, Swarm
-from fg_gcs.track.sensor import Sensor, SensorSettings
+from fg_gcs.run.kinematic import HOLDING, QUIET_S, TICK_S, Rehearsal, rehearse
+from fg_gcs.scenario.motions import Circle, Static, TrueMotion
+from fg_gcs.scenario.sensor import Sensor, SensorSettings
+from fg_gcs.track.estimate.estimator import Settings
+from fg_gcs.track.follow.replanner import RUN_ON_S, Mode, Swarm
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 from fg_gcs.track.tracker import Tracker, Tracking
 

@@ -6,19 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import FACING, coverage
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.track.mixture import Prediction
-from fg_gcs.track.replanner import Goal, Mode, Replanner, Swarm
-from fg_gcs.track.ride import Ride, prove
-
-Array = NDArray[np.float64]
+from fg_gcs.track.estimate.imm import Prediction
+from fg_gcs.track.follow.fail_safe import Ride, prove
+from fg_gcs.track.follow.replanner import Goal, Mode, Replanner, Swarm
 
 NINE = hemisphere(4, 5, 6.0)
 RULES = Rules(Limits(10.0, 5.0), 1.5, Fence((-150.0, -150.0, 2.0), (150.0, 150.0, 80.0)))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fg_gcs.track.motions import Circle, Static, TrueMotion
-from fg_gcs.track.sensor import Sensor, SensorSettings
+from fg_gcs.scenario.motions import Circle, Static, TrueMotion
+from fg_gcs.scenario.sensor import Sensor, SensorSettings
 from fg_gcs.track.sightings import Sighting
 
 CIRCLE = Circle((0.0, 0.0, 15.0), 50.0, 4.0)

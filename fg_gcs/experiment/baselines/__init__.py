@@ -1,0 +1,1 @@
+"""What the planner is measured against: least squares, and planning the way of the paper."""

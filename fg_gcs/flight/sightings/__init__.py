@@ -1,0 +1,1 @@
+"""Where sightings of moving targets come in."""

@@ -1,0 +1,116 @@
+"""Where the sightings of a mission's moving targets come from, all ways behind one door."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from fg_gcs.core.arrays import Array
+from fg_gcs.core.frames import Geodetic
+from fg_gcs.flight.sightings.sources import DatagramFeed, Feed, OnRefused, OnSighting, TimedFeed
+from fg_gcs.flight.sightings.vehicle_source import VehicleFeed
+from fg_gcs.mission.target_tables import CsvSource, MovingTarget, ScriptSource, UdpSource, VehicleSource
+from fg_gcs.scenario.sensor import Look, Sensor
+
+SIMULATED_ENDPOINT: Final = "udpin:127.0.0.1:14560"  # beside 14550, where the swarm comes
+
+
+class Sources:
+    """Opens what the targets need, and hands on their sightings from :meth:`begin` to :meth:`close`.
+
+    The clock is that of the running loop: a sighting's times are loop times. Both callbacks are called by the loop.
+
+    Attributes:
+        endpoints: where sightings of a target are waited for, by its name, of those that come over the network.
+
+    Args:
+        targets: the mission's.
+        on_sighting: gets every sighting as it arrives; whether to believe it is not decided here.
+        on_refused: gets reason and number of what arrived but was no sighting.
+        simulated_endpoint: where simulated target vehicles come.
+
+    Raises:
+        MissionError: a target's file cannot be read, or something in it is wrong.
+    """
+
+    def __init__(
+        self,
+        targets: Sequence[MovingTarget],
+        on_sighting: OnSighting,
+        on_refused: OnRefused,
+        simulated_endpoint: str = SIMULATED_ENDPOINT,
+    ) -> None:
+        self.endpoints: dict[str, str] = {}
+        self._feeds: dict[str, Feed] = {}  # by target
+        by_endpoint: dict[str, list[MovingTarget]] = {}
+        for target in targets:
+            match target.source:
+                case ScriptSource():
+                    motion = target.true_motion()
+                    assert motion is not None, "the loader refuses scripts without a motion"
+                    sensor = Sensor(target.name, target.sensor.settings(), target.sensor.seed)
+                    self._feeds[target.name] = TimedFeed(sensor.looks(motion), on_sighting, motion)
+                case CsvSource():
+                    self._feeds[target.name] = TimedFeed(_replayed(target), on_sighting, None)
+                case UdpSource(endpoint=endpoint):
+                    self.endpoints[target.name] = endpoint
+                    self._feeds[target.name] = DatagramFeed(target, endpoint, on_sighting, on_refused)
+                case VehicleSource(endpoint=own):
+                    self.endpoints[target.name] = own or simulated_endpoint
+                    by_endpoint.setdefault(self.endpoints[target.name], []).append(target)
+        for endpoint, vehicles in by_endpoint.items():
+            feed = VehicleFeed(vehicles, endpoint, on_sighting, on_refused)
+            self._feeds |= {target.name: feed for target in vehicles}
+        self._names = [target.name for target in targets]
+
+    async def open(self) -> None:
+        """Open all ports.
+
+        Raises:
+            LinkError: one is taken; none stays open.
+        """
+        try:
+            for feed in self._every():
+                await feed.open()
+        except BaseException:
+            self.close()
+            raise
+
+    def begin(self, origin: Geodetic) -> None:
+        """Begin tracking now: scripts and recordings start, and what arrives is handed on.
+
+        Args:
+            origin: where on Earth the mission's (0, 0, 0) is.
+        """
+        now_s = asyncio.get_running_loop().time()
+        for feed in self._every():
+            feed.begin(now_s, origin)
+
+    def truth(self, time_s: Array) -> Array | None:
+        """Return where the targets truly were, in the mission's order; None unless that is known of all of them.
+
+        Args:
+            time_s: loop times, shape (T,), not before tracking began [s].
+
+        Returns:
+            Shape (T, C, 3) [m; ENU]; NaN where a simulated vehicle did not say anything.
+        """
+        found = [self._feeds[name].truth(name, time_s) for name in self._names]
+        known = [each for each in found if each is not None]
+        return np.stack(known, axis=1) if len(known) == len(found) else None
+
+    def close(self) -> None:
+        """Hand on no more and close all ports; may be called twice."""
+        for feed in self._every():
+            feed.close()
+
+    def _every(self) -> list[Feed]:
+        return list(dict.fromkeys(self._feeds.values()))
+
+
+def _replayed(target: MovingTarget) -> Iterator[Look]:
+    """Return the looks of a recording; a sighting arrives when it was true, or at once if that was before the start."""
+    return iter([Look(max(row.time_s, 0.0), row) for row in target.replay()])

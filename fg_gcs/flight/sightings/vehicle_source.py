@@ -1,0 +1,156 @@
+"""Sightings from MAVLink vehicles that say where they are."""
+
+from __future__ import annotations
+
+import asyncio
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from fg_gcs.core.arrays import Array
+from fg_gcs.core.frames import Geodetic, enu_from_geodetic
+from fg_gcs.flight.sightings.sources import Crowd, OnRefused, OnSighting, shifted
+from fg_gcs.link.endpoint import Address, Wire, open_wire, parse_endpoint
+from fg_gcs.mission.target_tables import MovingTarget, VehicleSource
+from fg_gcs.scenario.sensor import Sensor
+from fg_gcs.track.sightings import Sighting, Verdict, isotropic
+from fg_gcs.wire.codec import Codec, Message, is_known
+
+MOST_PEERS = 32  # senders kept; a flood of made-up ones must not fill the memory
+MOST_REPORTS = 100_000  # kept of a simulated vehicle: at 100 Hz a quarter of an hour
+CARRIED_S = 1.0  # how far the last two reports say where a simulated vehicle goes on to
+MOST_ALTITUDE_M = 1e5  # nothing that flies on air is higher
+
+
+class VehicleFeed:
+    """MAVLink vehicles that say where they are, all that come to one port.
+
+    A simulated one tells the truth, which the target's sensor then spoils; of a real one what it says is a sighting,
+    as old as the sensor's delay says.
+
+    Args:
+        targets: whose sources are vehicles.
+        endpoint: where they come.
+        on_sighting: gets the sightings.
+        on_refused: gets the reasons why messages gave none, and how many.
+    """
+
+    def __init__(
+        self, targets: list[MovingTarget], endpoint: str, on_sighting: OnSighting, on_refused: OnRefused
+    ) -> None:
+        self._endpoint = endpoint
+        self._on_sighting, self._on_refused = on_sighting, on_refused
+        self._vehicles: dict[tuple[int, str], MovingTarget] = {
+            (target.source.system_id, target.source.message): target
+            for target in targets
+            if isinstance(target.source, VehicleSource)
+        }
+        self._sensors = {
+            target.name: Sensor(target.name, target.sensor.settings(), target.sensor.seed)
+            for target in targets
+            if target.simulated
+        }
+        self._reports = {name: _Reports() for name in self._sensors}
+        self._codecs: dict[Address, Codec] = {}
+        self._crowd = Crowd()
+        self._wire: Wire | None = None
+        self._began: tuple[float, Geodetic] | None = None
+
+    async def open(self) -> None:
+        """Open the port.
+
+        Raises:
+            LinkError: it is taken.
+        """
+        self._wire = await open_wire(parse_endpoint(self._endpoint), self._receive)
+
+    def begin(self, began_s: float, origin: Geodetic) -> None:
+        """Look at messages from now on."""
+        self._began = (began_s, origin)
+
+    def truth(self, target: str, time_s: Array) -> Array | None:
+        """Return where a simulated vehicle was by its own reports, (T,) [s] to (T, 3) [m; ENU]; NaN where unknown."""
+        reports = self._reports.get(target)
+        return None if reports is None else reports.at(np.asarray(time_s, dtype=float))
+
+    def close(self) -> None:
+        """Close the port; what a sensor still has under way is lost."""
+        self._began = None
+        if self._wire is not None:
+            self._wire.close()
+
+    def _receive(self, wire: Wire, address: Address, data: bytes) -> None:
+        if self._began is None:
+            return
+        now_s = asyncio.get_running_loop().time()
+        if self._crowd.is_too_large(now_s):
+            self._on_refused(Verdict.FLOOD, 1)
+            return
+        codec = self._codecs.get(address)
+        if codec is None:
+            if len(self._codecs) >= MOST_PEERS:
+                return
+            codec = self._codecs[address] = Codec()
+        for message in codec.receive(data):
+            target = self._vehicles.get((message.get_srcSystem(), message.get_type())) if is_known(message) else None
+            if target is not None:
+                self._take(target, message, now_s, *self._began)
+
+    def _take(self, target: MovingTarget, message: Message, now_s: float, began_s: float, origin: Geodetic) -> None:
+        place = _place(message)
+        if place is None:
+            self._on_refused(Verdict.MALFORMED, 1)
+            return
+        position = enu_from_geodetic(place, origin)
+        sensor = self._sensors.get(target.name)
+        if sensor is None:
+            covariance = isotropic(target.sensor.sigma_m)
+            self._on_sighting(Sighting(target.name, now_s - target.sensor.delay_s, position, covariance, now_s))
+            return
+        self._reports[target.name].add(now_s, position)
+        sighting = sensor.look(now_s - began_s, position)
+        if sighting is not None:
+            asyncio.get_running_loop().call_at(began_s + sighting.received_s, self._arrive, sighting)
+
+    def _arrive(self, sighting: Sighting) -> None:
+        if self._began is not None:
+            self._on_sighting(shifted(sighting, self._began[0], asyncio.get_running_loop().time()))
+
+
+class _Reports:
+    """Where a simulated vehicle said it was: the truth, as far as it is known."""
+
+    def __init__(self) -> None:
+        self._times_s: list[float] = []
+        self._positions: list[Array] = []
+
+    def add(self, time_s: float, position_enu_m: Array) -> None:
+        """Keep one more; of two at one time the first."""
+        if self._times_s and time_s <= self._times_s[-1]:
+            return
+        self._times_s.append(time_s)
+        self._positions.append(position_enu_m)
+        if len(self._times_s) > MOST_REPORTS:
+            del self._times_s[: MOST_REPORTS // 2], self._positions[: MOST_REPORTS // 2]
+
+    def at(self, time_s: Array) -> Array:
+        """Interpolate between reports, (T,) [s] to (T, 3) [m; ENU], and a little beyond the last; NaN elsewhere."""
+        if len(self._times_s) < 2 or not len(time_s):
+            return np.full((len(time_s), 3), np.nan)
+        first = max(bisect_right(self._times_s, float(np.min(time_s))) - 1, 0)
+        last = max(bisect_left(self._times_s, float(np.max(time_s))) + 1, first + 2)
+        times, positions = np.array(self._times_s[first:last]), np.array(self._positions[first:last])
+        if last >= len(self._times_s):
+            rate = (self._positions[-1] - self._positions[-2]) / (self._times_s[-1] - self._times_s[-2])
+            times = np.append(times, times[-1] + CARRIED_S)
+            positions = np.concatenate((positions, [positions[-1] + CARRIED_S * rate]))
+        return np.stack([np.interp(time_s, times, axis, left=np.nan, right=np.nan) for axis in positions.T], axis=1)
+
+
+def _place(message: Message) -> Geodetic | None:
+    """Return where a GLOBAL_POSITION_INT or a FOLLOW_TARGET says that its sender is, None if that is no place."""
+    altitude_m = message.alt / 1e3 if message.get_type() == "GLOBAL_POSITION_INT" else message.alt
+    place = Geodetic(message.lat / 1e7, message.lon / 1e7, altitude_m)
+    unknown = place.latitude_deg == place.longitude_deg == 0.0  # what vehicles say before they know
+    inside = abs(place.latitude_deg) <= 90.0 and abs(place.longitude_deg) <= 180.0 and abs(altitude_m) < MOST_ALTITUDE_M
+    return place if inside and not unknown else None

@@ -1,0 +1,1 @@
+"""Files that a mission comes in, one module a format."""

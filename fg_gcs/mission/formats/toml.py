@@ -1,0 +1,98 @@
+"""Mission files in TOML: read once into a type that proves them, or refused in one clear line."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import get_args
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from fg_gcs.errors import MissionError
+from fg_gcs.mission.model import Mission
+from fg_gcs.mission.tables import FOLDER, Problem, Table
+from fg_gcs.mission.validation import contradictions
+
+MAX_BYTES = 1_000_000  # a mission is some 2 kB; a file hundreds of times larger is not one
+
+
+def load_mission(path: Path) -> Mission:
+    """Read and check a mission file.
+
+    Raises:
+        MissionError: one line that names file, table and key and says what would be accepted.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise MissionError(f"{path}: larger than {MAX_BYTES} bytes, so not a mission file")
+        tables = tomllib.loads(path.read_bytes().decode())
+    except OSError as error:
+        raise MissionError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise MissionError(f"{path}: not a TOML file: {' '.join(str(error).split())}") from error
+    try:
+        # By way of JSON, whose lists the strict model takes for points; TOML's dates become text and are refused there
+        text = json.dumps(tables, default=str)
+        mission = Mission.model_validate_json(text, context={FOLDER: path.parent})
+    except ValidationError as error:
+        found = [_explained(details) for details in error.errors()]
+        # One problem a key, the first: a key of several types is told once for each of them
+        problems = list({(problem.table, problem.key): problem for problem in reversed(found)}.values())[::-1]
+    else:
+        problems = list(contradictions(mission))
+    if problems:
+        table, key, text = problems[0]
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        place = " ".join(part for part in (f"[{table}]" if table else "", key) if part)
+        raise MissionError(f"{path}: {place}: {text}{more}")
+    return mission
+
+
+def _explained(details: ErrorDetails) -> Problem:
+    """Turn pydantic's finding into table, key and what would be accepted."""
+    kinds: list[type[Table]] = [Mission]  # of the table that is looked into; several: its tag comes next
+    path: list[str] = []
+    key, accepted, which = "", "the tables that missions/README.md names", ""
+    for depth, part in enumerate(details["loc"]):
+        if not kinds:
+            break  # inside a value: its key is known already
+        if isinstance(part, int):
+            which = f" of target {part + 1}"
+            continue
+        if len(kinds) > 1:
+            kinds = [kind for kind in kinds if _tag(kind) == part]
+            continue
+        path += [key] if key else []
+        key, field = part, kinds[0].model_fields.get(part)
+        if field is None:
+            if details["type"] == "extra_forbidden" and depth == len(details["loc"]) - 1:
+                what = "tables and keys" if kinds[0] is Mission else "keys"
+                text = f"unknown key; accepted {what}: {', '.join(kinds[0].model_fields)}"
+                return Problem(".".join(path), key + which, text)
+            break
+        accepted, kinds = field.description or accepted, _tables(field.annotation)
+    found = "missing" if details["type"] == "missing" else f"got {_short(details['input'])}"
+    if details["type"].startswith("union_tag"):  # the table does not say which one it is
+        tag = details.get("ctx", {}).get("tag")
+        path, key, found = [*path, key], "kind", "missing" if tag is None else f"got {_short(tag)}"
+        accepted = ", ".join(f'"{_tag(kind)}"' for kind in kinds)
+    return Problem(".".join(path), key + (which if path else ""), f"{found}; accepted: {accepted}")
+
+
+def _tables(annotation: object) -> list[type[Table]]:
+    """Return the tables that a key may hold."""
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return [annotation]
+    return [table for inner in get_args(annotation) for table in _tables(inner)]
+
+
+def _tag(table: type[Table]) -> str:
+    """Return the ``kind`` of a table that is one of several."""
+    return str(get_args(table.model_fields["kind"].annotation)[0])
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."  # one line stays one line

@@ -1,0 +1,150 @@
+"""What is wrong between keys of a mission that are each right by themselves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from fg_gcs.core.separation import Fence
+from fg_gcs.errors import PlanError
+from fg_gcs.mission.model import Mission, TargetTable
+from fg_gcs.mission.tables import Point, Problem
+from fg_gcs.mission.target_validation import moving_contradictions
+
+
+def contradictions(mission: Mission) -> Iterator[Problem]:
+    """Yield what is wrong between keys that are each right by themselves."""
+    ids = mission.swarm.ids()
+    vehicles = mission.swarm.vehicles
+    if len(set(ids)) < len(ids):
+        twice = sorted({i for i in ids if ids.count(i) > 1})
+        yield Problem("swarm", "system_ids", f"{twice[0]} occurs twice; accepted: a different id for every vehicle")
+    if len(ids) != vehicles:
+        yield Problem("swarm", "system_ids", f"{len(ids)} ids for {vehicles} vehicles; accepted: {vehicles} ids")
+    fence = mission.fence.box()
+    if not (np.array(fence.low_enu_m) < np.array(fence.high_enu_m)).all():
+        yield Problem("fence", "high_enu_m", "each number must be larger than that of low_enu_m")
+        return  # against a fence without an inside everything else is wrong, too
+    found = [*_formation_contradictions(mission), *_aim_contradictions(mission)]
+    yield from found or _size_contradictions(mission)
+    floor = fence.low_enu_m[2]
+    if mission.takeoff.height_m < floor:
+        text = f"{mission.takeoff.height_m:g} m is below the floor; accepted: {floor:g} or more ([fence] low_enu_m)"
+        yield Problem("takeoff", "height_m", text)
+    separation = mission.limits.separation_m
+    if mission.pads.spacing_m <= separation:
+        text = f"{mission.pads.spacing_m:g} m; accepted: more than the separation of {separation:g} m"
+        yield Problem("pads", "spacing_m", text)
+
+
+def _formation_contradictions(mission: Mission) -> Iterator[Problem]:
+    table = mission.formation
+    try:
+        formation = table.formation()
+    except ValueError as error:
+        yield Problem("formation", "shape", str(error))
+        return
+    slots, vehicles = len(formation.slots_m), mission.swarm.vehicles
+    if slots != vehicles:
+        text = f"{vehicles} vehicles for {slots} slots of the formation; accepted: {slots}"
+        yield Problem("swarm", "vehicles", text)
+    separation = mission.limits.separation_m
+    if formation.smallest_separation_m < separation:
+        text = (
+            f"{separation:g} m, but the closest slots of the formation are {formation.smallest_separation_m:.2f} m "
+            "apart; accepted: less than that, or a wider formation"
+        )
+        yield Problem("limits", "separation_m", text)
+    try:
+        places = formation.place(table.start())
+    except ValueError as error:
+        yield Problem("formation", "normal_enu", str(error))
+        return
+    excess = mission.fence.box().excess_m(places)
+    if excess.max() > 0:
+        text = f"slot {int(excess.argmax()) + 1} lies {excess.max():.2f} m outside the fence; accepted: a centre inside"
+        yield Problem("formation", "centre_enu_m", text)
+
+
+def _aim_contradictions(mission: Mission) -> Iterator[Problem]:
+    """Yield what is wrong with the targets, of which there is either one kind or the other."""
+    if (mission.target is None) == (mission.targets is None):
+        found = "missing" if mission.target is None else "given beside [[targets]]"
+        yield Problem("target", "", f"{found}; accepted: either [target] or [[targets]]")
+    elif mission.target is not None:
+        if "track" in mission.model_fields_set:
+            yield Problem("track", "", "says nothing without [[targets]]; accepted: both or none of them")
+        yield from _target_contradictions(mission.target, mission.fence.box())
+    else:
+        yield from moving_contradictions(mission)
+
+
+def _target_contradictions(table: TargetTable, fence: Fence) -> Iterator[Problem]:
+    single, several = table.position_enu_m, table.positions_enu_m
+    if (single is None) == (several is None):
+        found = "missing" if single is None else "given beside positions_enu_m"
+        yield Problem("target", "position_enu_m", f"{found}; accepted: either position_enu_m or positions_enu_m")
+        return
+    for key, other in (("weights", "positions_enu_m"), ("source", "positions_enu_m"), ("confidence", "sigma_m")):
+        if key in table.model_fields_set and getattr(table, other) is None:
+            yield Problem("target", key, f"says nothing without {other}; accepted: both or none of them")
+    if several is not None and table.weights is not None and len(table.weights) != len(several):
+        text = f"{len(table.weights)} weights for {len(several)} positions; accepted: {len(several)} weights"
+        yield Problem("target", "weights", text)
+        return
+    if single is not None:
+        yield from _place_contradictions("position_enu_m", "", single, fence)
+    for number, point in enumerate(several or (), start=1):
+        yield from _place_contradictions("positions_enu_m", f"point {number}: ", point, fence)
+    try:
+        table.target()
+    except PlanError as error:
+        yield Problem("target", "", f"{error}; accepted: places and sizes that a swarm can reach")
+
+
+def _place_contradictions(key: str, which: str, point: Point, fence: Fence) -> Iterator[Problem]:
+    floor = fence.low_enu_m[2]
+    if point[2] < floor:
+        text = f"{which}up = {point[2]:g} m lies below the floor; accepted: {floor:g} or more ([fence] low_enu_m)"
+        yield Problem("target", key, text)
+    elif fence.excess_m(np.array(point)) > 0:
+        yield Problem("target", key, f"{which}{list(point)} lies outside the fence; accepted: a point inside")
+
+
+def _size_contradictions(mission: Mission) -> Iterator[Problem]:
+    """Yield what is wrong with the formation at the size that the target asks for; both are good by themselves."""
+    formation, radius_m = mission.formation.formation(), mission.first_target().radius_m
+    inscribed_m = formation.inscribed_radius_m
+    if radius_m == 0.0:
+        return
+    table, key = _sized_by(mission)
+    if inscribed_m == 0.0:
+        text = "no circle fits into the face, whose centre [0, 0] lies outside; accepted: a rim around it, or no radius"
+        yield Problem(table, key, text)
+        return
+    separation, closest_m = mission.limits.separation_m, formation.smallest_separation_m * radius_m / inscribed_m
+    if closest_m < separation:
+        least_m = math.ceil(100.0 * inscribed_m * separation / formation.smallest_separation_m) / 100.0
+        text = (
+            f"for a target of radius {radius_m:.2f} m the closest slots of the formation are {closest_m:.2f} m apart; "
+            f"accepted: {least_m:.2f} m or more in all, or a smaller separation ([limits] separation_m)"
+        )
+        yield Problem(table, key, text)
+    widest_m = math.dist(mission.fence.low_enu_m, mission.fence.high_enu_m) / 2.0
+    if radius_m > widest_m:
+        text = (
+            f"a target of radius {radius_m:.2f} m does not fit inside the fence; accepted: less than {widest_m:.2f} m "
+            "in all, or a larger fence"
+        )
+        yield Problem(table, key, text)
+
+
+def _sized_by(mission: Mission) -> tuple[str, str]:
+    """Return table and key that the radius of the target comes from, first of all."""
+    if mission.target is None:
+        return "targets", "position_enu_m"
+    if mission.target.radius_m > 0.0:
+        return "target", "radius_m"
+    return "target", "sigma_m" if mission.target.sigma_m is not None else "positions_enu_m"

@@ -1,0 +1,1 @@
+"""Paths without time: poses, splines through them, and the whole swarm along them."""

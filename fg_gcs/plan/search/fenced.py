@@ -1,0 +1,260 @@
+"""The flux-guided search inside a fence, compiled: where the flux would take a vehicle out, the path is bent.
+
+Each step starts as the free search's. When a vehicle would leave the fence, now or in the hold that the step's
+attitude would end in, the plane that it breaks becomes an equality of the subproblem, linear in (move, turn): with
+the arm ``r`` of the vehicle and the plane's normal ``e``, ``e . move + (r x e) . turn = gap``. The step is then the
+shortest one that meets all planes so far, plus the best one along them in what is left of the trust region; planes
+are added until the step stays inside.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fg_gcs.compiling import kernel
+from fg_gcs.core.arrays import Array
+from fg_gcs.plan.search.rigid import (
+    ACCEPT,
+    FOUND,
+    NEAR_RIM,
+    ON_RIM,
+    TOO_MANY,
+    TURN_RAD,
+    among,
+    centre_of,
+    charged_flux,
+    keep,
+    place,
+    pose_derivatives,
+    slid,
+    step_bound,
+    surrounded,
+    turned,
+)
+from fg_gcs.plan.search.trust_region import maximise_in_ball
+
+PLANES = 5  # more equalities than this leave six degrees of freedom nothing to choose
+OUTSIDE_M = 1e-3  # what the subproblem's straight planes may miss by; the path is bent in millimetres, not in angstroms
+CORRECTION = 0.8  # share of the trust region that meeting the planes may take
+HOLD_SHARE = 0.5  # of the trust region that a plane of the hold may take
+HOLD_RADII = 4.0  # from this many radii of the formation on, the attitude must be one that fits around the target
+
+
+@kernel
+def search_inside(
+    rim: Array,
+    points: Array,
+    sources: Array,
+    weights: Array,
+    depth: float,
+    start: Array,
+    last_scale: float,
+    low: Array,
+    high: Array,
+    poses: Array,
+) -> tuple[int, int, int]:
+    """Fill ``poses`` with a path inside the fence up to where the target is surrounded, and the slide to its hold.
+
+    Args:
+        rim: leaders of the template, shape (N, 3) [m].
+        points: all slots, or points that enclose them, shape (P, 3) [m].
+        sources: positions, shape (C, 3) [m].
+        weights: of the sources, shape (C,), their sum is 1.
+        depth: of the centre of charge behind the face in the hold [m].
+        start: pose as :func:`fg_gcs.plan.search.rigid.keep` writes it, shape (13,).
+        last_scale: of the template, to reach on the way.
+        low: lower corner of the fence, shape (3,) [m].
+        high: upper corner, shape (3,) [m].
+        poses: room for the path, shape (K, 13).
+
+    Returns:
+        How it ended (FOUND, ON_RIM or TOO_MANY), the number of poses and the number of steps tried.
+    """
+    target = centre_of(sources, weights)
+    centre, rotation = start[:3].copy(), start[3:12].copy().reshape(3, 3)
+    first_distance = math.sqrt(((target - centre) ** 2).sum())
+    widest = max(start[12], last_scale) * math.sqrt((points * points).sum(axis=1).max())
+    vertices = np.empty_like(rim)
+    gradient, hessian = np.empty(6), np.empty((6, 6))
+    region, bound, count = 1.0, step_bound(centre, rotation, target, math.inf), 1
+    poses[0] = start
+    for tried in range(poses.shape[0] - 2):
+        distance = math.sqrt(((target - centre) ** 2).sum())
+        scale = _scale_allowed(start[12], last_scale, distance, first_distance)
+        gyration = scale * math.sqrt((rim * rim).sum() / rim.shape[0])
+        place(rim, centre, rotation, scale, vertices)
+        flux = charged_flux(vertices, sources, weights)
+        hold = target + depth * rotation[:, 0]
+        arrived = surrounded(vertices, target, len(sources), flux) or among(centre, rotation, target, gyration)
+        if arrived and _worst(points, hold, rotation, last_scale, low, high)[0] <= OUTSIDE_M:
+            return FOUND, slid(poses, count, target, depth, last_scale), tried
+        if not pose_derivatives(vertices, centre, sources, weights, NEAR_RIM * gyration, gradient, hessian):
+            return ON_RIM, count, tried
+        size = region * bound
+        turn = min(size / gyration, TURN_RAD)
+        reach = np.array([size, size, size, turn, turn, turn])
+        near = distance < HOLD_RADII * widest
+        step, predicted, planes = _bent_step(
+            gradient, hessian, reach, flux > 0.0, points, centre, rotation, scale, target, depth, near, low, high
+        )
+        moved_centre = centre + step[:3]
+        moved_rotation = turned(rotation, step[3], step[4], step[5])
+        place(rim, moved_centre, moved_rotation, scale, vertices)
+        gained = charged_flux(vertices, sources, weights) - flux
+        before = max(_worst(points, centre, rotation, scale, low, high)[0], OUTSIDE_M)
+        inside = _worst(points, moved_centre, moved_rotation, scale, low, high)[0] <= 2.0 * before
+        if inside and (gained > ACCEPT * predicted or planes > 0):  # along a plane the way may lead down for a while
+            centre, rotation = moved_centre, moved_rotation
+            keep(poses, count, centre, rotation, scale)
+            count += 1
+            region = min(1.0, 2.0 * region)
+            bound = step_bound(centre, rotation, target, bound)
+        else:
+            region *= 0.25
+    return TOO_MANY, count, poses.shape[0] - 2
+
+
+@kernel
+def _scale_allowed(first: float, last: float, distance: float, first_distance: float) -> float:
+    """Scale at least as large as the path's will be here, see :class:`fg_gcs.plan.path.rigid_path.PosePath`.
+
+    A formation that grows is counted as grown from the start. One that shrinks does so along its whole way, of which
+    it has gone at least the share that it came nearer, as the rest of it is nearly straight.
+    """
+    if last >= first or first_distance == 0.0:
+        return max(first, last)
+    x = min(max(1.0 - distance / first_distance, 0.0), 1.0)
+    return first + (last - first) * x * x * x * (10.0 + x * (6.0 * x - 15.0))
+
+
+@kernel
+def _bent_step(
+    gradient: Array,
+    hessian: Array,
+    reach: Array,
+    may_move: bool,
+    points: Array,
+    centre: Array,
+    rotation: Array,
+    scale: float,
+    target: Array,
+    depth: float,
+    near: bool,
+    low: Array,
+    high: Array,
+) -> tuple[Array, float, int]:
+    """Best step that stays inside, the gain it predicts, and the number of planes it runs along."""
+    g, h = gradient * reach, hessian * np.outer(reach, reach)
+    if not may_move:  # a face that looks away turns; planes may still push it
+        g[:3] = 0.0
+        h[:3, :] = 0.0
+        h[:, :3] = 0.0
+        h[0, 0], h[1, 1], h[2, 2] = -1.0, -1.0, -1.0
+    rows, gaps = np.zeros((PLANES, 6)), np.zeros(PLANES)
+    ids = np.full(PLANES, -1)
+    planes = 0
+    unit = maximise_in_ball(g, h)
+    for _ in range(4 * PLANES):
+        step = reach * unit
+        moved_centre = centre + step[:3]
+        moved_rotation = turned(rotation, step[3], step[4], step[5])
+        outside, point, axis, sign = _worst(points, moved_centre, moved_rotation, scale, low, high)
+        holding = False
+        if near and outside <= OUTSIDE_M:  # what matters now comes first
+            hold = target + depth * moved_rotation[:, 0]
+            later, point2, axis2, sign2 = _worst(points, hold, moved_rotation, scale, low, high)
+            outside, point, axis, sign, holding = later, point2, axis2, sign2, True
+        if outside <= OUTSIDE_M:
+            break
+        identity = ((point * 3 + axis) * 2 + (1 if sign > 0 else 0)) * 2 + (1 if holding else 0)
+        known = -1
+        for k in range(planes):
+            if ids[k] == identity:
+                known = k
+        if known >= 0 and holding:
+            break  # it asks for as much already as a step gives
+        elif known >= 0:
+            gaps[known] += outside  # the plane is straight, the turn is not: ask for what is missing
+        elif planes == PLANES:
+            break
+        else:
+            arm = scale * (rotation @ points[point])
+            if holding:
+                arm = arm + depth * rotation[:, 0]
+            normal = np.zeros(3)
+            normal[axis] = sign
+            if not holding:
+                rows[planes, :3] = normal
+            rows[planes, 3:] = np.cross(arm, normal)
+            place_now = (target if holding else centre) + arm
+            edge = low[axis] if sign > 0 else high[axis]
+            gaps[planes] = sign * (edge - place_now[axis])
+            if holding:  # the hold is still to come: its attitude is taken up in turns that leave room for the rest
+                most = HOLD_SHARE * math.sqrt(((rows[planes] * reach) ** 2).sum())
+                gaps[planes] = min(gaps[planes], most)
+            ids[planes] = identity
+            planes += 1
+        unit = _along_planes(g, h, rows[:planes] * reach, gaps[:planes])
+    predicted = (g * unit).sum() + 0.5 * (unit * (h @ unit)).sum()
+    return reach * unit, predicted, planes
+
+
+@kernel
+def _along_planes(g: Array, h: Array, rows: Array, gaps: Array) -> Array:
+    """Shortest point of ``rows y = gaps`` in the ball, plus the best step along the rows in what is left of it."""
+    u, values, vt = np.linalg.svd(np.ascontiguousarray(rows), True)
+    rank = 0
+    for k in range(len(values)):
+        rank += 1 if values[k] > 1e-9 * values[0] else 0
+    normal = np.zeros(6)
+    for k in range(rank):
+        normal += vt[k] * ((u[:, k] * gaps).sum() / values[k])
+    length = math.sqrt((normal * normal).sum())
+    if length > CORRECTION:
+        normal *= CORRECTION / length
+        length = CORRECTION
+    free = 6 - rank
+    if free == 0:
+        return normal
+    along = np.ascontiguousarray(vt[rank:])  # (free, 6)
+    left = math.sqrt(1.0 - length * length)
+    reduced = left * (along @ (g + h @ normal))
+    curved = left * left * (along @ h @ along.T)
+    step: Array = normal + left * (along.T @ maximise_in_ball(reduced, curved))
+    return step
+
+
+@kernel
+def _worst(
+    points: Array, centre: Array, rotation: Array, scale: float, low: Array, high: Array
+) -> tuple[float, int, int, float]:
+    """By how much a point is furthest outside, which point, which axis, and the sign of the way back."""
+    outside, point, axis, sign = -math.inf, 0, 0, 1.0
+    for i in range(points.shape[0]):
+        for k in range(3):
+            arm = rotation[k, 0] * points[i, 0] + rotation[k, 1] * points[i, 1] + rotation[k, 2] * points[i, 2]
+            value = centre[k] + scale * arm
+            if low[k] - value > outside:
+                outside, point, axis, sign = low[k] - value, i, k, 1.0
+            if value - high[k] > outside:
+                outside, point, axis, sign = value - high[k], i, k, -1.0
+    return outside, point, axis, sign
+
+
+@kernel
+def furthest_outside(poses: Array, points: Array, low: Array, high: Array) -> float:
+    """Return by how much a point of the body leaves the box in any pose, negative inside [m].
+
+    Args:
+        poses: shape (K, 13), as :func:`fg_gcs.plan.search.rigid.keep` writes them.
+        points: of the body, shape (P, 3) [m; template].
+        low: lower corner of the box, shape (3,) [m].
+        high: upper corner, shape (3,) [m].
+    """
+    outside = -math.inf
+    for row in range(len(poses)):
+        rotation = poses[row, 3:12].copy().reshape(3, 3)
+        outside = max(outside, _worst(points, poses[row, :3], rotation, poses[row, 12], low, high)[0])
+    return outside

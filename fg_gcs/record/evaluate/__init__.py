@@ -1,0 +1,1 @@
+"""Figures and series of a recorded run: from its tables alone."""

@@ -1,0 +1,188 @@
+"""What the telemetry says about a flight: every ``flown_`` figure is computed here from the tables alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fg_gcs.core.arrays import Array
+from fg_gcs.core.coverage import coverage, flux_metric
+from fg_gcs.core.separation import closest_approach, smallest_over_time
+from fg_gcs.record.write.table import Columns
+
+ACCELERATION_SPAN_S = 0.1  # velocity differences over less drown in the millisecond stamps of the vehicles' clocks
+AIRBORNE_M = 0.3  # below this height a vehicle touches down or lifts off: ground contact is no flown acceleration
+GRID_HZ = 50.0  # common instants for what concerns several vehicles at once
+PLANNED_STAGES = ("gather", "approach", "hold", "home")
+
+
+@dataclass(frozen=True)
+class Whereabouts:
+    """Where something was over time; before and after it stands still."""
+
+    time_s: Array  # (T,) ascending, T >= 1 [s]
+    position_m: Array  # (T, 3) [m; ENU]
+
+    @classmethod
+    def standing(cls, position_m: Array) -> Whereabouts:
+        """Return those of something that never moves, shape (3,) [m; ENU]."""
+        return cls(np.zeros(1), np.asarray(position_m, dtype=float)[None])
+
+    def at(self, time_s: Array) -> Array:
+        """Return where it was, shape (S,) [s] to (S, 3) [m; ENU]."""
+        return interpolated(time_s, self.time_s, self.position_m)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A flight's series on common instants, and per vehicle on its own samples."""
+
+    system_ids: Array  # (V,)
+    time_s: Array  # (T,) common instants from the first to the last that all vehicles share
+    position_m: Array  # (T, V, 3) [m; ENU]
+    separation_m: Array  # (T,) closest pair
+    flux_metric: Array  # (T,)
+    coverage: Array  # (T,)
+    own_time_s: tuple[Array, ...]  # per vehicle (S,)
+    speed_m_s: tuple[Array, ...]
+    acceleration_m_s2: tuple[Array, ...]
+    airborne: tuple[NDArray[np.bool_], ...]
+    error_m: tuple[Array, ...]  # distance from the setpoint; NaN outside the planned stages
+
+    def places_m(self, system_ids: Sequence[int]) -> Array | None:
+        """Return where these vehicles were, in this order, shape (T, N, 3) [m; ENU]; None unless all were heard."""
+        row_of = {int(system_id): row for row, system_id in enumerate(self.system_ids)}
+        rows = [row_of[system_id] for system_id in system_ids if system_id in row_of]
+        return self.position_m[:, rows] if len(rows) == len(system_ids) > 0 else None
+
+
+def flown(
+    telemetry: Columns,
+    setpoints: Columns,
+    stages: Mapping[str, tuple[float, float]],
+    leaders: Sequence[int],
+    target: Whereabouts,
+) -> Flown | None:
+    """Return the series of a flight, or None when the vehicles share no time in the tables.
+
+    Flux and coverage are NaN unless every leader was heard: a face without one of its corners is another face.
+
+    Args:
+        telemetry: columns of the telemetry table.
+        setpoints: columns of the setpoint table.
+        stages: begin and end of each stage of the flight [s].
+        leaders: system ids in the rim's winding order; fewer than 3 span no face.
+        target: what is surrounded.
+    """
+    ids = np.unique(telemetry["system_id"])
+    tracks = [_rows(telemetry, i) for i in ids]
+    if not tracks or min(len(track["time_s"]) for track in tracks) < 2:
+        return None
+    begin = max(track["time_s"][0] for track in tracks)
+    end = min(track["time_s"][-1] for track in tracks)
+    if end <= begin:
+        return None
+    time_s = np.arange(begin, end, 1.0 / GRID_HZ)
+    position = np.stack([interpolated(time_s, t["time_s"], t["position_enu_m"]) for t in tracks], axis=1)
+    nothing = np.full(len(time_s), np.nan)
+    series = Flown(
+        system_ids=ids,
+        time_s=time_s,
+        position_m=position,
+        separation_m=smallest_over_time(position) if len(ids) > 1 else nothing,
+        flux_metric=nothing,
+        coverage=nothing,
+        own_time_s=tuple(track["time_s"] for track in tracks),
+        speed_m_s=tuple(np.linalg.norm(track["velocity_enu_m_s"], axis=1) for track in tracks),
+        acceleration_m_s2=tuple(_acceleration(track) for track in tracks),
+        airborne=tuple(track["height_m"] > AIRBORNE_M for track in tracks),
+        error_m=tuple(_errors(track, _rows(setpoints, i), stages) for track, i in zip(tracks, ids, strict=True)),
+    )
+    rims = series.places_m(leaders)
+    if rims is None or len(leaders) < 3:
+        return series
+    there = target.at(time_s)
+    return replace(series, flux_metric=flux_metric(rims, there), coverage=coverage(rims, there))
+
+
+def figures(
+    series: Flown | None, ticks: Columns, setpoints: Columns, stages: Mapping[str, tuple[float, float]]
+) -> dict[str, float | None]:
+    """Return a flight's figures by the names of the command line's JSON; None where there is nothing to measure."""
+    result: dict[str, float | None] = dict.fromkeys(
+        (
+            "flown_flux_metric",
+            "flown_peak_speed_m_s",
+            "flown_peak_acceleration_m_s2",
+            "flown_min_separation_m",
+            "tracking_rms_m",
+            "tracking_max_m",
+            "setpoint_rate_hz",
+            "setpoint_late_p99_ms",
+        )
+    )
+    if len(ticks["time_s"]):
+        result["setpoint_late_p99_ms"] = float(np.percentile(ticks["late_s"], 99) * 1e3)
+    result["setpoint_rate_hz"] = _slowest_rate(setpoints)
+    if series is None:
+        return result
+    if "hold" in stages:
+        holding = (series.time_s >= stages["hold"][0]) & (series.time_s <= stages["hold"][1])
+        if holding.any() and np.isfinite(series.flux_metric[holding]).all():
+            result["flown_flux_metric"] = float(series.flux_metric[holding].mean())
+    errors = np.concatenate(series.error_m)
+    planned = np.isfinite(errors)
+    if planned.any():  # take-off and landing are the autopilots' own business: no plan of ours has a limit for them
+        result["flown_peak_speed_m_s"] = float(np.concatenate(series.speed_m_s)[planned].max())
+        result["flown_peak_acceleration_m_s2"] = float(np.nanmax(np.concatenate(series.acceleration_m_s2)[planned]))
+        result["tracking_rms_m"] = float(np.sqrt((errors[planned] ** 2).mean()))
+        result["tracking_max_m"] = float(errors[planned].max())
+    if len(series.system_ids) > 1:
+        result["flown_min_separation_m"] = closest_approach(series.position_m, series.time_s).distance_m
+    return result
+
+
+def _rows(columns: Columns, system_id: float) -> dict[str, Array]:
+    mine = columns["system_id"] == system_id
+    return {name: column[mine] for name, column in columns.items()}
+
+
+def interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
+    """Return values between samples, constant beyond them; (S,), (T,) [s] and (T, K) to (S, K)."""
+    return np.stack([np.interp(at_s, time_s, values[:, axis]) for axis in range(values.shape[1])], axis=1)
+
+
+def _acceleration(track: Columns) -> Array:
+    """Norm of the mean acceleration over the span before each sample, by the vehicle's own clock; NaN at first."""
+    clock, velocity = track["boot_time_s"], track["velocity_enu_m_s"]
+    earlier = np.searchsorted(clock, clock - ACCELERATION_SPAN_S + 1e-6, side="right") - 1
+    valid = earlier >= 0
+    spans = np.where(valid, clock - clock[earlier], np.nan)
+    norms = np.linalg.norm(velocity - velocity[earlier], axis=1)
+    return np.where(spans > 0.0, norms / np.where(spans > 0.0, spans, 1.0), np.nan)
+
+
+def _errors(track: Columns, setpoints: Columns, stages: Mapping[str, tuple[float, float]]) -> Array:
+    """Distance between each sample and the setpoint of that instant, in the stages that follow a plan."""
+    errors = np.full(len(track["time_s"]), np.nan)
+    if len(setpoints["time_s"]) < 2:
+        return errors
+    wanted = interpolated(track["time_s"], setpoints["time_s"], setpoints["position_enu_m"])
+    distance = np.linalg.norm(track["position_enu_m"] - wanted, axis=1)
+    for begin, end in (stages[name] for name in PLANNED_STAGES if name in stages):
+        inside = (track["time_s"] >= begin) & (track["time_s"] <= min(end, setpoints["time_s"][-1]))
+        errors[inside] = distance[inside]
+    return errors
+
+
+def _slowest_rate(setpoints: Columns) -> float | None:
+    """Setpoints a second of the vehicle that was served worst [Hz]."""
+    rates = []
+    for system_id in np.unique(setpoints["system_id"]):
+        times = setpoints["time_s"][setpoints["system_id"] == system_id]
+        if len(times) > 1:
+            rates.append((len(times) - 1) / (times[-1] - times[0]))
+    return float(min(rates)) if rates else None

@@ -1,0 +1,1 @@
+"""Pictures for people: the report of a run, and the drawn plan."""

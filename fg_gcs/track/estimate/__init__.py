@@ -1,0 +1,1 @@
+"""What is known of targets: filters, models of motion, and several targets as one."""

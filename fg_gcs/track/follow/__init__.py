@@ -1,0 +1,1 @@
+"""How a formation follows what is known: axes, its frame in time, trajectories that end at rest, replanning."""

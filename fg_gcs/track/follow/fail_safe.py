@@ -1,0 +1,105 @@
+"""Motions of a whole formation that are known to their end: every one of them comes to rest by itself.
+
+A ride is made once, proven once, and then only read: when nothing newer comes, it is flown to its end, and that is
+safe. What tracks a target replaces the present ride by a newer one that starts in the same state.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fg_gcs.core.arrays import Array
+from fg_gcs.core.formation import Pose
+from fg_gcs.plan.limits import Rules
+from fg_gcs.plan.trajectory import Peaks, look
+from fg_gcs.track.follow.axes import Joints
+from fg_gcs.track.follow.formation_frames import JOINTS, Frames, State, frames_of, state_of
+
+PROOF_S = 0.04  # between instants of the proof, besides the joints' seams: speeds bend by centimetres a second
+RESERVE = 1.008  # what lies between the instants of the proof may exceed them by
+ROUNDING = 1e-9  # of scales that are computed; the separation itself is a round number
+
+
+class Ride:
+    """A formation's motion from ``start_s`` on; before it is not asked for, after ``end_s`` the formation rests."""
+
+    def __init__(self, attitude: Array, moving: Joints, turning: Joints, axes: Array) -> None:
+        """Take joints over time.
+
+        Args:
+            attitude: template axes to ENU that turns count from, shape (3, 3).
+            moving: the centre's three joints; they end at rest.
+            turning: rotation vector and scale, four joints; likewise.
+            axes: along which the centre moves, one a column, shape (3, 3) [ENU].
+        """
+        self._attitude, self._axes = attitude, axes
+        self.start_s = moving.start_s
+        self.end_s = max(moving.end_s, turning.end_s)
+        self._moving, self._turning = moving, turning
+
+    @classmethod
+    def resting(cls, pose: Pose, start_s: float) -> Ride:
+        """Stay in a pose."""
+        turn = np.zeros((3, JOINTS - 3))
+        turn[0, 3] = pose.scale
+        centre = np.zeros((3, 3))
+        centre[0] = pose.centre_enu_m
+        return cls(np.asarray(pose.rotation), Joints(start_s, centre), Joints(start_s, turn), np.eye(3))
+
+    def frames(self, time_s: Array) -> Frames:
+        """Return the formation's frame at times, shape (T,) [s]."""
+        joints = np.concatenate((self._moving.at(time_s) @ self._axes.T, self._turning.at(time_s)), axis=2)
+        return frames_of(joints, self._attitude)
+
+    def state(self, time_s: float) -> State:
+        """Return the formation's state at one instant [s]."""
+        return state_of(self.frames(np.array([time_s])))
+
+    @property
+    def instants_s(self) -> Array:
+        """Instants from start to end that show all of it, ascending [s]."""
+        even = np.arange(self.start_s, self.end_s, PROOF_S)
+        return np.unique(np.concatenate((even, self._moving.seams_s, self._turning.seams_s, [self.end_s])))
+
+
+class Proof(NamedTuple):
+    """What a dense look at a ride finds."""
+
+    peaks: Peaks
+    outside_m: float  # by how much a vehicle leaves the fence, negative inside
+    scale: float  # the smallest: distances are those of the template times the scale
+
+    def keeps(self, rules: Rules, smallest_m: float) -> bool:
+        """Say whether the rules hold; ``smallest_m`` is the smallest distance in the template [m].
+
+        Jerk is bounded joint by joint when a ride is made.
+        """
+        limits, peaks = rules.limits, self.peaks
+        return (
+            peaks.speed_m_s <= limits.speed_m_s
+            and peaks.acceleration_m_s2 <= limits.acceleration_m_s2
+            and peaks.jerk_m_s3 <= limits.jerk_m_s3
+            and peaks.climb_m_s <= limits.climb_m_s
+            and peaks.descent_m_s <= limits.descent_m_s
+            and self.outside_m <= 0.0
+            and self.scale * smallest_m >= rules.separation_m * (1.0 - ROUNDING)
+        )
+
+
+def prove(ride: Ride, outline_m: Array, rules: Rules) -> Proof:
+    """Look at a ride from its start to its end.
+
+    Args:
+        ride: the ride.
+        outline_m: slots, or points that enclose them: speeds and accelerations are convex in the slot, (P, 3) [m].
+        rules: whose fence counts.
+    """
+    time_s = ride.instants_s
+    frames = ride.frames(time_s)
+    peaks, low, high = np.zeros(len(Peaks._fields)), np.full(3, np.inf), np.full(3, -np.inf)
+    steady = np.ones(len(time_s)), np.zeros(len(time_s))  # time is its own parameter
+    look(*frames.swarm(outline_m), *steady, time_s, peaks, low, high)
+    outside_m = float(rules.fence.excess_m(np.stack((low, high))).max())
+    return Proof(Peaks(*(RESERVE * peaks).tolist()), outside_m, float(frames.scale.min()))

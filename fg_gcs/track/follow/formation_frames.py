@@ -1,0 +1,138 @@
+"""The formation's frame over time: an affine map from template to ENU, with its velocity and acceleration.
+
+Every vehicle of a rigid formation is at ``c + M b`` with its slot ``b``; ``M`` is scale times attitude. All that a
+vehicle does is affine in its slot, so that the frame's twelve numbers and their two derivatives say everything.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fg_gcs.compiling import kernel
+from fg_gcs.core.arrays import Array
+from fg_gcs.plan.path.splines import cross, turning
+
+JOINTS = 7  # what a frame can do: move (3), turn (3, as a rotation vector from a given attitude), change its scale
+
+
+class Frames(NamedTuple):
+    """The frame at T instants; the second axis counts derivatives by time: 0, 1, 2."""
+
+    centre: Array  # (T, 3, 3) [m, m/s, m/s^2; ENU]
+    arms: Array  # (T, 3, 3, 3) the template's axes in ENU, times the scale; the last axis counts them
+
+    def swarm(self, slots_m: Array) -> tuple[Array, Array, Array]:
+        """Return positions, velocities and accelerations of slots, shape (V, 3) [m; template]; each (T, V, 3)."""
+        return _swarm(self.centre, self.arms, slots_m)
+
+    @property
+    def scale(self) -> Array:
+        """Times the template, shape (T,)."""
+        determinant: Array = np.linalg.det(self.arms[:, 0])
+        return np.cbrt(determinant)
+
+
+class State(NamedTuple):
+    """The frame at one instant in the terms of its joints."""
+
+    attitude: Array  # (3, 3) template axes to ENU
+    joints: Array  # (3, 7) derivatives by rows: centre, turn from that attitude (so zero in row 0), scale
+
+
+def state_of(frames: Frames) -> State:
+    """Return the state at the first instant.
+
+    With ``M = k R``: ``M' M^-1 = k'/k + [w]`` and ``M'' M^-1 = k''/k + 2 k'/k [w] + [w'] + [w]^2``, ``[.]`` being the
+    matrix of the cross product. Where the turn is zero, its derivatives are ``w`` and ``w'``.
+    """
+    arms, first, second = frames.arms[0]
+    scale = float(np.cbrt(np.linalg.det(arms)))
+    inverse = arms.T / scale**2
+    once, twice = first @ inverse, second @ inverse
+    rate = _axis(once)
+    share = float(np.trace(once)) / 3.0
+    joints = np.zeros((3, JOINTS))
+    joints[:, :3] = frames.centre[0]
+    joints[1, 3:6] = rate
+    joints[2, 3:6] = _axis(twice) - 2.0 * share * rate
+    joints[0, 6] = scale
+    joints[1, 6] = share * scale
+    joints[2, 6] = scale * (float(np.trace(twice)) + 2.0 * float(rate @ rate)) / 3.0
+    return State(arms / scale, joints)
+
+
+def frames_of(joints: Array, attitude: Array) -> Frames:
+    """Return the frames of joints over time, shape (T, 3, 7), that turn from an attitude, shape (3, 3)."""
+    arms = np.empty((len(joints), 3, 3, 3))
+    _turned(joints, arms)
+    return Frames(np.ascontiguousarray(joints[:, :, :3]), arms @ attitude)
+
+
+def _axis(matrix: Array) -> Array:
+    """The vector of a matrix's antisymmetric part."""
+    part = 0.5 * (matrix - matrix.T)
+    return np.array([part[2, 1], part[0, 2], part[1, 0]])
+
+
+@kernel
+def _swarm(centre: Array, arms: Array, slots: Array) -> tuple[Array, Array, Array]:
+    count, vehicles = len(centre), len(slots)
+    out = np.empty((3, count, vehicles, 3))
+    for i in range(count):
+        for order in range(3):
+            for v in range(vehicles):
+                for k in range(3):
+                    value = centre[i, order, k]
+                    for axis in range(3):
+                        value += arms[i, order, k, axis] * slots[v, axis]
+                    out[order, i, v, k] = value
+    return out[0], out[1], out[2]
+
+
+@kernel
+def _turned(joints: Array, arms: Array) -> None:
+    """Fill ``arms``, (T, 3, 3, 3), with scale times rotation and its derivatives.
+
+    A turn by the rotation vector ``f`` has the rate ``w = f' + b f x f' + d f x (f x f')``, see
+    :func:`fg_gcs.plan.path.splines.turning`; ``w'`` is the derivative of that.
+    """
+    swing, bend = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(len(joints)):
+        f = (joints[i, 0, 3], joints[i, 0, 4], joints[i, 0, 5])
+        f1 = (joints[i, 1, 3], joints[i, 1, 4], joints[i, 1, 5])
+        f2 = (joints[i, 2, 3], joints[i, 2, 4], joints[i, 2, 5])
+        k0, k1, k2 = joints[i, 0, 6], joints[i, 1, 6], joints[i, 2, 6]
+        x, y, z = f
+        s, b, d, b1, d1 = turning(x * x + y * y + z * z)
+        slope = 2.0 * (x * f1[0] + y * f1[1] + z * f1[2])
+        once = cross(f, f1)
+        twice = cross(f, once)
+        grown = cross(f, f2)
+        bent, grown_twice = cross(f1, once), cross(f, grown)
+        w = np.empty(3)
+        g = np.empty(3)
+        for k in range(3):
+            w[k] = f1[k] + b * once[k] + d * twice[k]
+            g[k] = f2[k] + b1 * slope * once[k] + b * grown[k] + d1 * slope * twice[k] + d * (bent[k] + grown_twice[k])
+        turn = np.array(
+            [
+                [1.0 - b * (y * y + z * z), b * x * y - s * z, b * x * z + s * y],
+                [b * x * y + s * z, 1.0 - b * (x * x + z * z), b * y * z - s * x],
+                [b * x * z - s * y, b * y * z + s * x, 1.0 - b * (x * x + y * y)],
+            ]
+        )
+        for axis in range(3):
+            r = (turn[0, axis], turn[1, axis], turn[2, axis])
+            once_r = cross((w[0], w[1], w[2]), r)
+            again = cross((w[0], w[1], w[2]), once_r)
+            growth = cross((g[0], g[1], g[2]), r)
+            for k in range(3):
+                swing[k, axis] = once_r[k]
+                bend[k, axis] = growth[k] + again[k]
+        for k in range(3):
+            for axis in range(3):
+                arms[i, 0, k, axis] = k0 * turn[k, axis]
+                arms[i, 1, k, axis] = k1 * turn[k, axis] + k0 * swing[k, axis]
+                arms[i, 2, k, axis] = k2 * turn[k, axis] + 2.0 * k1 * swing[k, axis] + k0 * bend[k, axis]

@@ -1,0 +1,1 @@
+"""Vehicles on sockets: one process, one clock."""

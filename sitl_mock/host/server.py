@@ -1,0 +1,274 @@
+"""The simulator on UDP: every vehicle with its own socket per remote, one clock, no threads.
+
+Uses nothing of the event loop but `time`, `call_at` and `create_datagram_endpoint`, so that it runs unchanged on a
+loop whose time is virtual: the same seed and the same datagrams then give the same bytes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl_mock.host.fleet import Fleet, FleetOptions, Sent
+from sitl_mock.host.targets import TargetOptions, Targets
+from sitl_mock.physics.particles import enu_from_ned
+
+HOST = "127.0.0.1"  # simulated vehicles are nobody's business outside this machine
+REMOTE_PORT_STEP = 3990  # PX4's first links are at 18570 + k and 14580 + k
+Address = tuple[str, int]
+
+
+class PortUnavailable(Exception):
+    """A local port cannot be had.
+
+    Args:
+        port: which.
+        reason: what the system said.
+    """
+
+    def __init__(self, port: int, reason: str) -> None:
+        self.port = port
+        super().__init__(f"port {port} on {HOST} cannot be used: {reason}; give another --port-base (0: any free)")
+
+
+@dataclass(frozen=True)
+class SimulatorOptions:
+    """What to simulate and where to send it.
+
+    Attributes:
+        autopilot: "px4" or "ardupilot".
+        pads_enu_m: east, north of each vehicle's pad from the origin [m]; its length is the number of vehicles.
+        system_ids: one per pad, 1 ... 255.
+        remotes: where telemetry goes; each is a link of its own.
+        port_base: vehicle k listens on port_base + k for the first remote, 3990 lower for each further; 0: any.
+        origin_deg_m: latitude, longitude [deg], altitude [m] of the world's origin.
+        seed: of everything random.
+        speed: simulated seconds per second of the event loop.
+        real_boot: boot as slowly as the real autopilots.
+        wind_m_s: mean wind [m/s].
+        targets: vehicles to be followed; their ports come after those of the vehicles.
+    """
+
+    autopilot: str = "px4"
+    pads_enu_m: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    system_ids: tuple[int, ...] = (1,)
+    remotes: tuple[Address, ...] = ((HOST, 14550),)
+    port_base: int = 0
+    origin_deg_m: tuple[float, float, float] = (47.397742, 8.545594, 488.0)
+    seed: int = 0
+    speed: float = 1.0
+    real_boot: bool = False
+    wind_m_s: float = 0.0
+    targets: tuple[TargetOptions, ...] = ()
+
+    @property
+    def fleet(self) -> FleetOptions:
+        """The part that has nothing to do with sockets."""
+        return FleetOptions(
+            self.autopilot,
+            self.pads_enu_m,
+            self.system_ids,
+            len(self.remotes),
+            self.origin_deg_m,
+            self.seed,
+            self.real_boot,
+            self.wind_m_s,
+        )
+
+    def local_port(self, vehicle: int, link: int) -> int:
+        """The port that a vehicle binds for a remote; 0 lets the system choose."""
+        return self.port_base + vehicle - REMOTE_PORT_STEP * link if self.port_base else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """What went wrong so far, over all vehicles."""
+
+    bad_bytes: int  # from outside, in no good frame
+    dropped: int  # datagrams from senders that an ArduPilot vehicle does not listen to
+    unsendable: int  # messages whose numbers did not fit
+    send_errors: int  # reported by the system
+    slipped_s: float  # simulated time that never happened, because stalls were too long to make up
+
+
+class _Port(asyncio.DatagramProtocol):
+    """One vehicle's socket for one remote."""
+
+    def __init__(self, simulator: Simulator, vehicle: int, link: int, remote: Address, sticky: bool) -> None:
+        self._simulator = simulator
+        self._vehicle, self._link = vehicle, link
+        self._partner = remote
+        self._sticky = sticky  # PX4: the first sender becomes the partner for good
+        self._met = False
+        self._transport: asyncio.DatagramTransport | None = None
+        self.dropped = 0
+        self.errors = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        # By contract; before Python 3.12 the real class does not derive from it, so nothing can be asserted.
+        self._transport = cast(asyncio.DatagramTransport, transport)
+
+    def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
+        sender = (str(addr[0]), int(addr[1]))
+        if self._sticky and not self._met:
+            self._partner, self._met = sender, True
+        if not self._sticky and sender != self._partner:
+            self.dropped += 1  # ArduPilot's socket is connected to its remote
+            return
+        self._simulator.heard(self._vehicle, self._link, data)
+
+    def error_received(self, exc: Exception) -> None:
+        self.errors += 1
+
+    def send(self, data: bytes) -> None:
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.sendto(data, self._partner)
+
+    @property
+    def number(self) -> int:
+        return int(self._transport.get_extra_info("sockname")[1]) if self._transport is not None else 0
+
+    def close(self) -> None:
+        if self._transport is not None:
+            self._transport.close()
+
+
+class Simulator:
+    """The vehicles on their sockets.
+
+    Args:
+        options: what to simulate.
+    """
+
+    def __init__(self, options: SimulatorOptions) -> None:
+        self.options = options
+        self.fleet = Fleet(options.fleet)
+        self.targets = Targets(options.targets, len(options.remotes), options.origin_deg_m)
+        self._ports: list[list[_Port]] = []  # [vehicle, then target][link]
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._start_s = 0.0  # loop time
+        self._slipped_s = 0.0  # simulated time
+
+    async def start(self) -> None:
+        """Bind every socket and let time run.
+
+        Raises:
+            PortUnavailable: a port is taken; nothing is left open.
+        """
+        self._loop = asyncio.get_running_loop()
+        sticky = self.options.autopilot == "px4"
+        try:
+            for vehicle in range(len(self.options.system_ids) + len(self.options.targets)):
+                self._ports.append([])
+                for link, remote in enumerate(self.options.remotes):
+                    port = _Port(self, vehicle, link, remote, sticky)
+                    await self._bind(port, self.options.local_port(vehicle, link))
+                    self._ports[vehicle].append(port)
+        except PortUnavailable:
+            await self.close()
+            raise
+        self._start_s = self._loop.time()
+        self._plan_tick()
+
+    async def close(self) -> None:
+        """Stop time and close every socket."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for ports in self._ports:
+            for port in ports:
+                port.close()
+        await asyncio.sleep(0)  # transports close at the next turn of the loop
+
+    def heard(self, vehicle: int, link: int, data: bytes) -> None:
+        """A datagram arrived; answer it at once, at the present simulated time. Targets listen to nobody."""
+        now_s = self._advance()
+        if vehicle < len(self.fleet.vehicles):
+            self._send(self.fleet.receive(vehicle, link, data, now_s))
+
+    @property
+    def ports(self) -> tuple[int, ...]:
+        """The local ports of the first remote, one per vehicle and target."""
+        return tuple(ports[0].number for ports in self._ports)
+
+    @property
+    def positions_enu_m(self) -> NDArray[np.float64]:
+        """(V, 3) true positions, world ENU [m]."""
+        return enu_from_ned(self.fleet.swarm.position_m)
+
+    @property
+    def velocities_enu_m_s(self) -> NDArray[np.float64]:
+        """(V, 3) true velocities, world ENU [m/s]."""
+        return enu_from_ned(self.fleet.swarm.velocity_m_s)
+
+    @property
+    def targets_enu_m(self) -> NDArray[np.float64]:
+        """(C, 3) true positions of the targets, world ENU [m]."""
+        return np.array(self.targets.positions_enu_m(self._now_s())).reshape(-1, 3)
+
+    @property
+    def armed(self) -> NDArray[np.bool_]:
+        """(V,) whether each vehicle is armed."""
+        return np.array([vehicle.autopilot.armed for vehicle in self.fleet.vehicles])
+
+    @property
+    def counters(self) -> Counters:
+        """What went wrong so far."""
+        rows = [*(vehicle.codecs for vehicle in self.fleet.vehicles), *self.targets.codecs]
+        codecs = [codec for row in rows for codec in row]
+        ports = [port for row in self._ports for port in row]
+        return Counters(
+            bad_bytes=sum(codec.bad_bytes for codec in codecs),
+            dropped=sum(port.dropped for port in ports),
+            unsendable=sum(codec.unsendable for codec in codecs),
+            send_errors=sum(port.errors for port in ports),
+            slipped_s=self._slipped_s,
+        )
+
+    async def _bind(self, port: _Port, number: int) -> None:
+        assert self._loop is not None
+        try:
+            await self._loop.create_datagram_endpoint(lambda: port, local_addr=(HOST, number))
+        except OSError as error:
+            raise PortUnavailable(number, error.strerror or str(error)) from error
+        except OverflowError as error:
+            raise PortUnavailable(number, "no such port") from error
+
+    def _advance(self) -> float:
+        """Bring the fleet to the present; give its time."""
+        now_s = self._now_s()
+        late_s = now_s - self.fleet.time_s - self.fleet.physics.time.catch_up_s
+        if late_s > 0.0:
+            self._slipped_s += late_s
+            now_s -= late_s
+        self._send(self.fleet.advance(now_s))
+        return now_s
+
+    def _now_s(self) -> float:
+        """Simulated time, also before the start."""
+        now_s = self._start_s if self._loop is None else self._loop.time()
+        return (now_s - self._start_s) * self.options.speed - self._slipped_s
+
+    def _tick(self) -> None:
+        now_s = self._advance()
+        self._send(self.fleet.telemetry(now_s))
+        first = len(self.fleet.vehicles)
+        self._send([Sent(first + row, link, data) for row, link, data in self.targets.telemetry(now_s)])
+        self._plan_tick()
+
+    def _plan_tick(self) -> None:
+        """The next tick at an absolute deadline: late ticks are left out, never queued."""
+        assert self._loop is not None
+        period_s = self.fleet.physics.time.tick_s / self.options.speed
+        done = math.floor((self._loop.time() - self._start_s) / period_s + 1e-6)  # 1e-6: just on time is not late
+        self._timer = self._loop.call_at(self._start_s + (done + 1) * period_s, self._tick)
+
+    def _send(self, sent: list[Sent]) -> None:
+        for vehicle, link, data in sent:
+            self._ports[vehicle][link].send(data)

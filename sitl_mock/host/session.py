@@ -1,0 +1,78 @@
+"""One run of the simulator as a process: start, say so, wait for the end, stop."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import stat
+import sys
+from dataclasses import asdict
+
+from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
+
+PORT_UNAVAILABLE = 2  # exit code
+CHUNK_BYTES = 4096
+
+
+def simulate(options: SimulatorOptions, with_parent: bool) -> int:
+    """Run until SIGINT or SIGTERM, or (`with_parent`) until standard input ends.
+
+    Returns:
+        Exit code.
+    """
+    return asyncio.run(_simulate(options, with_parent))
+
+
+async def _simulate(options: SimulatorOptions, with_parent: bool) -> int:
+    loop = asyncio.get_running_loop()
+    ended = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    simulator = Simulator(options)
+    try:
+        await simulator.start()
+    except PortUnavailable as error:
+        sys.stderr.write(f"sitl_mock: {error}\n")
+        return PORT_UNAVAILABLE
+    watcher = asyncio.create_task(_watch_parent(ended)) if with_parent else None
+    try:
+        sys.stdout.write(ready_line(simulator) + "\n")
+        sys.stdout.flush()
+        await ended.wait()
+    finally:
+        if watcher is not None:
+            watcher.cancel()
+        await simulator.close()
+        sys.stderr.write(closing_line(simulator.counters))
+    return 0
+
+
+def ready_line(simulator: Simulator) -> str:
+    """What a parent process waits for on standard output."""
+    ports, options = simulator.ports, simulator.options
+    in_a_row = ports == tuple(range(ports[0], ports[0] + len(ports)))
+    span = f"{ports[0]}-{ports[-1]}" if in_a_row else ",".join(map(str, ports))
+    return f"ready vehicles={len(ports)} autopilot={options.autopilot} ports={span}"
+
+
+def closing_line(counters: Counters) -> str:
+    """What went wrong on the way, for people; empty when nothing did."""
+    found = [f"{name}={value:g}" for name, value in asdict(counters).items() if value]
+    return f"sitl_mock: dropped or late: {' '.join(found)}\n" if found else ""
+
+
+async def _watch_parent(ended: asyncio.Event) -> None:
+    """Set `ended` when standard input reaches its end: the parent is gone, or wants us gone."""
+    if not (sys.stdin.isatty() or stat.S_ISFIFO(mode := os.fstat(sys.stdin.fileno()).st_mode) or stat.S_ISSOCK(mode)):
+        ended.set()  # a file or /dev/null: no parent is at the other end, and it cannot be waited for
+        return
+    reader = asyncio.StreamReader()
+    loop = asyncio.get_running_loop()
+    transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    try:
+        while await reader.read(CHUNK_BYTES):
+            pass
+    finally:
+        transport.close()
+    ended.set()

@@ -1,0 +1,1 @@
+"""The world: particles, their numbers, prescribed courses, and where on Earth it is."""

@@ -1,0 +1,1 @@
+"""MAVLink as the simulated autopilots speak it: messages in and out."""
