@@ -40,7 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '"figure_eight"; its keys are those of [targets.motion], see missions/README.md, and "rate_hz" and '
         '"follow_target"; repeat for more',
     )
-    add("--autopilot", choices=("px4", "ardupilot"), default="px4", help="whose manners (default: %(default)s)")
+    add(
+        "--autopilot",
+        choices=("px4", "ardupilot"),
+        default="px4",
+        help="which autopilot to play (default: %(default)s)",
+    )
     add(
         "--remote",
         type=_address,

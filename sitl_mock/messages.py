@@ -32,7 +32,7 @@ class Outgoing:
     link: int | None = None
 
 
-class Result(IntEnum):
+class CommandResult(IntEnum):
     """MAV_RESULT."""
 
     ACCEPTED = 0
@@ -56,7 +56,7 @@ class Landed(IntEnum):
     LANDING = 4
 
 
-class Status(IntEnum):
+class StatusText(IntEnum):
     """MAV_STATE, as far as the vehicles use it."""
 
     UNINIT = 0

@@ -66,12 +66,12 @@ def parser() -> argparse.ArgumentParser:
         help="run time X times as fast; max: virtual time, as fast as it can be computed (simulator only)",
     )
     fly.add_argument(
-        "--autopilot", choices=("px4", "ardupilot"), help="manners of the simulator, whatever the file says"
+        "--autopilot", choices=("px4", "ardupilot"), help="which autopilot the simulator plays, whatever the file says"
     )
     fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
 
-    plan = commands.add_parser("plan", help="plan missions without flying", description="Plan and prove missions.")
+    plan = commands.add_parser("plan", help="plan missions without flying", description="Plan and verify missions.")
     plan.add_argument("missions", type=Path, nargs="+", metavar="MISSION")
     plan.add_argument("--json", action="store_true", help="print one JSON object a mission on stdout")
     plan.add_argument("--plot", type=Path, metavar="FILE", help="draw the plan (png, svg or pdf); one mission only")

@@ -80,7 +80,7 @@ def _tracking_lines(summary: Mapping[str, object], figure: Callable[[str, str, i
     refused = refused_text(rejected) if isinstance(rejected, dict) else ""
     lines.append(("sightings", f"{summary['sightings']}, refused: {refused or 'none'}"))
     for name, key, before in (
-        ("rides planned", "replan_p99_ms", f"{summary['replans']}, "),
+        ("trajectories planned", "replan_p99_ms", f"{summary['replans']}, "),
         ("arrival to setpoint", "sensed_to_setpoint_p99_ms", ""),
         ("stamp to setpoint", "stamp_to_setpoint_p99_ms", ""),
     ):

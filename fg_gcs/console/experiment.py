@@ -15,7 +15,7 @@ from rich.table import Table as Drawn
 from fg_gcs.errors import MissionError
 from fg_gcs.experiment.bench import PlanBench, bench_plan
 from fg_gcs.experiment.results import experiments, write_page, write_tables
-from fg_gcs.experiment.tables import NOTHING, Table
+from fg_gcs.experiment.tables import NOTHING, ResultTable
 
 
 def experiment(name: str, out: Path) -> int:
@@ -57,7 +57,7 @@ def bench(*, as_json: bool) -> int:
     return 0
 
 
-def show(table: Table) -> None:
+def show(table: ResultTable) -> None:
     """Draw a table for people on standard error."""
     titles = (escape(column.title) for column in table.columns)  # units in brackets are no markup
     drawn = Drawn(*titles, title=table.title, title_justify="left")

@@ -22,13 +22,13 @@ from fg_gcs.console.nonblocking import unhurried
 from fg_gcs.console.plan import load_planner, plan_keys
 from fg_gcs.console.progress import Progress
 from fg_gcs.errors import FgError, LinkError, MissionError
-from fg_gcs.flight.director import Director, Result, Setup
+from fg_gcs.flight.director import Director, FlightResult, Setup
 from fg_gcs.flight.target_follower import warm_up
 from fg_gcs.link.clock import make_loop
 from fg_gcs.link.endpoint import parse_endpoint
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.record.evaluate.evaluation import evaluate, evaluate_pursuit
-from fg_gcs.record.evaluate.tracking import KEYS, Pursued
+from fg_gcs.record.evaluate.evaluation import evaluate, evaluate_tracking
+from fg_gcs.record.evaluate.tracking import KEYS, Followed
 from fg_gcs.record.report.report import write_report
 from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder, plain
 from fg_gcs.run.simulators import (
@@ -90,7 +90,7 @@ def fly(path: Path, options: Options) -> int:
     return 0 if result.completed else 1
 
 
-async def _fly(path: Path, text: str, mission: Mission, options: Options, folder: Path) -> Result:
+async def _fly(path: Path, text: str, mission: Mission, options: Options, folder: Path) -> FlightResult:
     loop = asyncio.get_running_loop()
     virtual = math.isinf(options.speed)
     simulated = not options.endpoints
@@ -148,7 +148,7 @@ def _on_signals(director: Director) -> None:
         loop.add_signal_handler(number, director.interrupt, f"stopped by {number.name}")
 
 
-def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -> dict[str, object]:
+def _summary(path: Path, mission: Mission, result: FlightResult, recorder: Recorder) -> dict[str, object]:
     """The run's figures by the names of the command line's JSON."""
     summary: dict[str, object] = {"mission": str(path)}
     if result.plan is not None:
@@ -180,17 +180,17 @@ def _summary(path: Path, mission: Mission, result: Result, recorder: Recorder) -
     return plained
 
 
-def _tracking_keys(mission: Mission, result: Result, recorder: Recorder, leaders: list[int]) -> dict[str, object]:
+def _tracking_keys(mission: Mission, result: FlightResult, recorder: Recorder, leaders: list[int]) -> dict[str, object]:
     """The figures of the tracking; those of a target at rest are 0 or none."""
     keys: dict[str, object] = {"replans": 0, "replans_late": 0, "replan_median_ms": None, "replan_p99_ms": None}
     keys |= dict.fromkeys(KEYS) | {"found_again_s": [], "sightings": 0, "sightings_rejected": {}}
-    tracked, task = result.tracked, result.task
-    if tracked is None or task is None:
+    tracking, task = result.tracking, result.task
+    if tracking is None or task is None:
         return keys
-    caught_s = None if tracked.caught_s is None else recorder.since_start_s(tracked.caught_s)
-    pursued = Pursued(
-        recorder.since_start_s(tracked.began_s),
-        recorder.since_start_s(tracked.ended_s),
+    caught_s = None if tracking.caught_s is None else recorder.since_start_s(tracking.caught_s)
+    followed = Followed(
+        recorder.since_start_s(tracking.began_s),
+        recorder.since_start_s(tracking.ended_s),
         caught_s,
         tuple(target.weight for target in mission.targets or ()),
         task.formation.leaders_m,
@@ -198,13 +198,13 @@ def _tracking_keys(mission: Mission, result: Result, recorder: Recorder, leaders
         mission.track.capture_m,
         mission.track.lost_after_s,
     )
-    keys |= evaluate_pursuit(recorder, result.stages, leaders, pursued, task.rules.limits.acceleration_m_s2)
-    if tracked.planning_s:
-        took_ms = [1e3 * took for took in tracked.planning_s]
+    keys |= evaluate_tracking(recorder, result.stages, leaders, followed, task.rules.limits.acceleration_m_s2)
+    if tracking.planning_s:
+        took_ms = [1e3 * took for took in tracking.planning_s]
         keys |= {"replan_median_ms": np.median(took_ms), "replan_p99_ms": np.percentile(took_ms, 99)}
-    rejected = {verdict.name.lower(): count for verdict, count in tracked.refused.items()}
+    rejected = {verdict.name.lower(): count for verdict, count in tracking.refused.items()}
     return keys | {
-        "replans_late": tracked.late,
-        "sightings": tracked.sightings,
+        "replans_late": tracking.late,
+        "sightings": tracking.sightings,
         "sightings_rejected": rejected,
     }

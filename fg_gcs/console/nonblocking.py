@@ -16,7 +16,7 @@ LARGEST_BYTES: Final = 1 << 16  # of one text: several pictures of a large termi
 CLOSE_S: Final = 2.0  # real seconds for the last words: a slow line needs less, a dead one would need for ever
 
 
-class Outlet(io.RawIOBase):
+class NonBlockingWriter(io.RawIOBase):
     """Hands bytes on to a file descriptor by a thread of its own; what is too much, or comes too late, is dropped.
 
     Somebody presses Ctrl-S, a remote terminal's network is gone, a pager does not read on: writing then blocks, and the
@@ -75,4 +75,6 @@ class Outlet(io.RawIOBase):
 
 def unhurried(stream: TextIO) -> TextIO:
     """Return a stream of text beside an open one, to the same place, that never makes its writer wait."""
-    return io.TextIOWrapper(io.BufferedWriter(Outlet(stream.fileno()), LARGEST_BYTES), stream.encoding, "replace")
+    return io.TextIOWrapper(
+        io.BufferedWriter(NonBlockingWriter(stream.fileno()), LARGEST_BYTES), stream.encoding, "replace"
+    )

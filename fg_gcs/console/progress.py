@@ -112,7 +112,7 @@ class Progress:
         name = Text(f"{journal.stage} ({number + 1} of {len(STAGES)})", "bold cyan")
         head.add_row(name, ProgressBar(len(STAGES), number + share, width=50, complete_style="cyan"), left)
         moving = self._mission.targets is not None
-        status = None if director.pursuit is None else director.pursuit.status
+        status = None if director.target_follower is None else director.target_follower.status
         middle = tracking_lines(status) if moving else Text("")
         taken = 1 + (HEIGHT if moving else 1) + 1 + 1 + EVENT_LINES  # head, middle, headings, hint
         most = max(self._console.height - taken, FEWEST_LINES)

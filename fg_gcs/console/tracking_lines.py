@@ -8,15 +8,15 @@ from collections.abc import Mapping
 from rich.table import Table
 from rich.text import Text
 
-from fg_gcs.flight.target_follower import Status, said
+from fg_gcs.flight.target_follower import TrackingStatus, said
 from fg_gcs.track.estimate.group import GroupEstimate
-from fg_gcs.track.follow.replanner import Mode
+from fg_gcs.track.follow.replanner import FollowMode
 
 HEIGHT = 4  # lines of the picture that are kept for it, whether there is something to say or not
 GROWN = 0.005  # a change of size that shows in the two digits behind the point
 
 
-def tracking_lines(status: Status | None) -> Table:
+def tracking_lines(status: TrackingStatus | None) -> Table:
     """Return the lines about tracking, always `HEIGHT` of them; what does not fit the terminal is cut at its edge."""
     grid = Table.grid(padding=(0, 2, 0, 0))
     rows = [("target", Text("tracked in approach and hold", "dim"))] if status is None else _rows(status)
@@ -32,7 +32,7 @@ def refused_text(refused: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in counts)
 
 
-def _rows(status: Status) -> list[tuple[str, Text]]:
+def _rows(status: TrackingStatus) -> list[tuple[str, Text]]:
     refused = refused_text({said(verdict): count for verdict, count in status.refused.items()})
     sightings = Text(f"{status.sightings}")
     if refused:
@@ -46,7 +46,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
     ]
 
 
-def _target(status: Status) -> Text:
+def _target(status: TrackingStatus) -> Text:
     known = status.known
     if known is None:
         return Text(f"not seen yet, home in {status.patience_s:.0f} s", "yellow")
@@ -64,19 +64,19 @@ def _target(status: Status) -> Text:
     return text
 
 
-def _formation(status: Status) -> Text:
+def _formation(status: TrackingStatus) -> Text:
     known, size = status.known, ""
     if abs(status.growth - 1.0) > GROWN:
         size = f", size x {status.growth:.2f}"
     if known is None or _all_lost(status, known):
-        what = Mode.WAIT.value if known is None or status.rests else "going on as predicted"
+        what = FollowMode.WAIT.value if known is None or status.rests else "going on as predicted"
         return Text(f"{what}{size}", "yellow")
     text = Text(f"{status.mode.value}, ", "cyan")
     text.append(f"{status.error_m:.1f} m off", "green" if status.caught else "yellow")
     return text.append(size if status.caught else f"{size}, home in {status.patience_s:.0f} s unless caught", "default")
 
 
-def _all_lost(status: Status, known: GroupEstimate) -> bool:
+def _all_lost(status: TrackingStatus, known: GroupEstimate) -> bool:
     return len(known.lost) + len(known.unseen) == status.targets
 
 

@@ -20,7 +20,7 @@ from fg_gcs.experiment.flights import Flight
 from fg_gcs.experiment.scenes import LEADERS, LIMITS, Scene
 from fg_gcs.record.report.charts import FOLLOWER_COLOUR, LEADER_COLOURS, LIMIT_COLOUR
 from fg_gcs.record.report.scene import FACE_COLOUR, TARGET_COLOUR
-from fg_gcs.run.kinematic import Rehearsal
+from fg_gcs.run.kinematic import KinematicSimulation
 
 ENDINGS: dict[str, dict[str, str | None]] = {"png": {"Software": None}, "svg": {"Date": None}}  # no dates: same bytes
 POINTS = 200  # of a line: finer than the eye, and files stay small
@@ -109,22 +109,22 @@ def draw_flight(flight: Flight) -> Figure:
     return figure
 
 
-def draw_tracks(rehearsals: Mapping[str, Rehearsal]) -> Figure:
+def draw_tracks(simulations: Mapping[str, KinematicSimulation]) -> Figure:
     """Draw from above where the targets went, what was known of them and where the formation went, a panel each."""
-    figure = Figure(figsize=(11.0, 5.0 * len(rehearsals) / 2.0), layout="constrained")
-    for number, (name, rehearsal) in enumerate(rehearsals.items(), start=1):
-        axes = figure.add_subplot((len(rehearsals) + 1) // 2, 2, number)
-        kept = _spread(len(rehearsal.time_s))
+    figure = Figure(figsize=(11.0, 5.0 * len(simulations) / 2.0), layout="constrained")
+    for number, (name, simulation) in enumerate(simulations.items(), start=1):
+        axes = figure.add_subplot((len(simulations) + 1) // 2, 2, number)
+        kept = _spread(len(simulation.time_s))
         for places, colour, width, label in (
-            (rehearsal.estimate_m, FOLLOWER_COLOUR, 0.8, "estimate"),
-            (rehearsal.truth_m, TARGET_COLOUR, 2.4, "target"),
-            (rehearsal.place_m, LEADER_COLOURS[0], 1.2, "formation"),
+            (simulation.estimate_m, FOLLOWER_COLOUR, 0.8, "estimate"),
+            (simulation.truth_m, TARGET_COLOUR, 2.4, "target"),
+            (simulation.place_m, LEADER_COLOURS[0], 1.2, "formation"),
         ):
             axes.plot(*places[kept, :2].T, color=colour, linewidth=width, label=label)
-        axes.plot(*rehearsal.place_m[0, :2], "o", color=LEADER_COLOURS[0], label="start")
-        if rehearsal.caught_s is not None:
-            caught = int(np.searchsorted(rehearsal.time_s, rehearsal.caught_s))
-            axes.plot(*rehearsal.place_m[caught, :2], "D", color=LEADER_COLOURS[2], label="capture")
+        axes.plot(*simulation.place_m[0, :2], "o", color=LEADER_COLOURS[0], label="start")
+        if simulation.caught_s is not None:
+            caught = int(np.searchsorted(simulation.time_s, simulation.caught_s))
+            axes.plot(*simulation.place_m[caught, :2], "D", color=LEADER_COLOURS[2], label="capture")
         axes.set_aspect("equal", adjustable="datalim")
         _finish_plane(axes, name, "x, east [m]", "y, north [m]")
     lines, labels = figure.axes[0].get_legend_handles_labels()
@@ -132,19 +132,19 @@ def draw_tracks(rehearsals: Mapping[str, Rehearsal]) -> Figure:
     return figure
 
 
-def draw_errors(rehearsals: Mapping[str, Rehearsal]) -> Figure:
+def draw_errors(simulations: Mapping[str, KinematicSimulation]) -> Figure:
     """Draw over time how far the formation's centre is from the true target, with the loss where there is one."""
-    figure = Figure(figsize=(11.0, 1.9 * len(rehearsals)), layout="constrained")
-    every = figure.subplots(len(rehearsals), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, (name, rehearsal) in zip(every, rehearsals.items(), strict=True):
-        kept = np.arange(0, len(rehearsal.time_s), 10)  # five a second: the error changes over seconds
-        axes.plot(rehearsal.time_s[kept], rehearsal.error_m[kept], color=LEADER_COLOURS[0], linewidth=1.2)
-        axes.axhline(rehearsal.tracking.capture_m, color=LIMIT_COLOUR, linestyle="--", linewidth=1.0, label="capture")
-        if rehearsal.caught_s is not None:
-            axes.axvline(rehearsal.caught_s, color=LEADER_COLOURS[2], linewidth=1.0, label="caught")
-        gaps = np.flatnonzero(np.diff(rehearsal.received_s) > rehearsal.tracking.estimator.lost_after_s)
+    figure = Figure(figsize=(11.0, 1.9 * len(simulations)), layout="constrained")
+    every = figure.subplots(len(simulations), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, simulation) in zip(every, simulations.items(), strict=True):
+        kept = np.arange(0, len(simulation.time_s), 10)  # five a second: the error changes over seconds
+        axes.plot(simulation.time_s[kept], simulation.error_m[kept], color=LEADER_COLOURS[0], linewidth=1.2)
+        axes.axhline(simulation.tracking.capture_m, color=LIMIT_COLOUR, linestyle="--", linewidth=1.0, label="capture")
+        if simulation.caught_s is not None:
+            axes.axvline(simulation.caught_s, color=LEADER_COLOURS[2], linewidth=1.0, label="caught")
+        gaps = np.flatnonzero(np.diff(simulation.received_s) > simulation.tracking.estimator.lost_after_s)
         for gap in gaps:
-            axes.axvspan(*rehearsal.received_s[gap : gap + 2], color="#fbe9d0", label="unseen")
+            axes.axvspan(*simulation.received_s[gap : gap + 2], color="#fbe9d0", label="unseen")
         axes.set_yscale("symlog", linthresh=2.0)  # decimetres once it is caught, tens of metres before
         axes.yaxis.set_major_formatter(ScalarFormatter())
         axes.set_ylim(bottom=0.0)

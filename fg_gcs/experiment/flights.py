@@ -12,7 +12,7 @@ from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way
 from fg_gcs.experiment.baselines.reference_planner import PaperPlan
 from fg_gcs.experiment.scenes import LIMITS, Scene, scene
-from fg_gcs.experiment.tables import Cell, Column, Table
+from fg_gcs.experiment.tables import Cell, Column, ResultTable
 
 TARGETS = ((40.0, 40.0, 40.0), (-20.0, 20.0, 20.0), (10.0, 10.0, 10.0), (-10.0, 10.0, 10.0))  # those it draws
 
@@ -80,9 +80,9 @@ def fly_all(stopwatch: Stopwatch, progress: Progress) -> tuple[Flight, ...]:
     return tuple(flights)
 
 
-def flights_table(flights: tuple[Flight, ...]) -> Table:
+def flights_table(flights: tuple[Flight, ...]) -> ResultTable:
     """Return the flights' durations and peaks."""
-    return Table("flights", "Flights", TEXT, COLUMNS, tuple(_row(flight) for flight in flights))
+    return ResultTable("flights", "Flights", TEXT, COLUMNS, tuple(_row(flight) for flight in flights))
 
 
 def bang_bang_s(made: Scene) -> float:

@@ -13,7 +13,7 @@ from fg_gcs.core.separation import Fence
 from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch
 from fg_gcs.experiment.scenes import LIMITS, TARGETS, Scene, draws, scene
-from fg_gcs.experiment.tables import Cell, Column, Table
+from fg_gcs.experiment.tables import Cell, Column, ResultTable
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.path.swarm_path import SwarmPath
@@ -62,7 +62,7 @@ class _Run(NamedTuple):
     plan_s: float
 
 
-def formulations(stopwatch: Stopwatch, progress: Progress, count: int = DRAWS, repeats: int = REPEATS) -> Table:
+def formulations(stopwatch: Stopwatch, progress: Progress, count: int = DRAWS, repeats: int = REPEATS) -> ResultTable:
     """Plan the paper's targets and ``count`` random scenes by both formulations.
 
     Raises:
@@ -78,7 +78,7 @@ def formulations(stopwatch: Stopwatch, progress: Progress, count: int = DRAWS, r
     progress(f"formulations: {count} random scenes")
     drawn = [replace(made, last_edge_m=made.edge_m) for made in draws(count, SEED)]
     rows += _rows(f"{count} draws", [_runs(made, stopwatch, repeats) for made in drawn])
-    return Table("formulations", "Two formulations", TEXT, COLUMNS, tuple(rows))
+    return ResultTable("formulations", "Two formulations", TEXT, COLUMNS, tuple(rows))
 
 
 def _rows(title: str, runs: Sequence[dict[FormulationName, _Run]]) -> Iterator[tuple[Cell, ...]]:

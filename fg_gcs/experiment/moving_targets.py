@@ -17,21 +17,21 @@ from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.experiment.baseline import Progress, Stopwatch
 from fg_gcs.experiment.scenes import FOLLOWERS, LEADERS, LIMITS
-from fg_gcs.experiment.tables import Cell, Column, Table
+from fg_gcs.experiment.tables import Cell, Column, ResultTable
 from fg_gcs.plan.limits import Rules
-from fg_gcs.run.kinematic import Figures, Rehearsal, rehearse
+from fg_gcs.run.kinematic import Figures, KinematicSimulation, simulate_kinematics
 from fg_gcs.scenario.motions import Circle, FigureEight, TrueMotion
 from fg_gcs.scenario.random_walk import RandomWalk
 from fg_gcs.scenario.sensor import Sensor, SensorSettings
 from fg_gcs.track.estimate.estimator import Settings
 from fg_gcs.track.follow.replanner import Swarm
-from fg_gcs.track.tracker import Tracking
+from fg_gcs.track.following_core import TrackingSettings
 
-SECONDS = 60.0  # of a rehearsal: three quarters of the circle, after a capture within twenty seconds
+SECONDS = 60.0  # of a kinematic simulation: three quarters of the circle, after a capture within twenty seconds
 SEEDS = 8  # of sensors and of the evader; they count from 0
 EDGE_M, DEPTH_M, SEPARATION_M = 6.0, 1.0, 1.5  # as in the missions that fly the same
 HEIGHT_M, REACH_M = 18.0, 100.0
-SILENCE_S = (25.0, 33.0)  # of the target that is lost, when every rehearsal has caught it
+SILENCE_S = (25.0, 33.0)  # of the target that is lost, when every kinematic simulation has caught it
 MOST_RADIUS_M = 12.0  # that the formation grows for, as missions have it where they say nothing
 MANY = 100  # vehicles of the second swarm
 
@@ -55,8 +55,8 @@ TEXT = (
     "velocities, or the limit of the acceleration, do not explain."
 )
 REPLANS_TEXT = (
-    "Time to look for a better ride after a sighting, over the rehearsals of the circle. Times are of the machine and "
-    "the run that wrote this page."
+    "Time to plan a better trajectory after a sighting, over the kinematic simulations of the circle. Times are of the "
+    "machine and the run that wrote this page."
 )
 COLUMNS = (
     Column("target"),
@@ -148,9 +148,9 @@ def courses() -> tuple[Course, ...]:
     )
 
 
-def tracking_table(rehearsed: Mapping[str, Sequence[Rehearsal]]) -> Table:
-    """Return the figures of rehearsals, by the courses' names and one for each seed, beside what is required."""
-    figures = {name: [each.figures() for each in runs] for name, runs in rehearsed.items()}
+def tracking_table(simulated: Mapping[str, Sequence[KinematicSimulation]]) -> ResultTable:
+    """Return figures of kinematic simulations, by the courses' names, one for each seed, beside what is required."""
+    figures = {name: [each.figures() for each in runs] for name, runs in simulated.items()}
     rows: list[tuple[Cell, ...]] = []
     for course in courses():
         own = figures[course.name]
@@ -169,10 +169,10 @@ def tracking_table(rehearsed: Mapping[str, Sequence[Rehearsal]]) -> Table:
         (Requirement("closest pair [m]", SEPARATION_M, at_least=True), [each.separation_m for each in every]),
     ):
         rows.append(_row("all", requirement, values))
-    return Table("moving", "Moving targets", TEXT, COLUMNS, tuple(rows))
+    return ResultTable("moving", "Moving targets", TEXT, COLUMNS, tuple(rows))
 
 
-def replan_table(durations_ms: Mapping[int, Sequence[float]]) -> Table:
+def replan_table(durations_ms: Mapping[int, Sequence[float]]) -> ResultTable:
     """Return how long replanning takes, from its durations by the number of vehicles."""
     rows: list[tuple[Cell, ...]] = []
     for vehicles, wanted in REPLANS.items():
@@ -180,41 +180,44 @@ def replan_table(durations_ms: Mapping[int, Sequence[float]]) -> Table:
             value = float(np.percentile(durations_ms[vehicles], share))
             met = "" if requirement.bound is None else "yes" if requirement.met(value) else "no"
             rows.append((float(vehicles), requirement.figure, requirement.text, value, met))
-    return Table("moving_replans", "Replanning times", REPLANS_TEXT, REPLANS_COLUMNS, tuple(rows))
+    return ResultTable("moving_replans", "Replanning times", REPLANS_TEXT, REPLANS_COLUMNS, tuple(rows))
 
 
-def rehearse_all(
+def simulate_all(
     stopwatch: Stopwatch, progress: Progress, seeds: int = SEEDS, seconds: float = SECONDS
-) -> dict[str, list[Rehearsal]]:
+) -> dict[str, list[KinematicSimulation]]:
     """Rehearse every course with every seed; by the courses' names."""
-    rehearsed: dict[str, list[Rehearsal]] = {}
+    simulated: dict[str, list[KinematicSimulation]] = {}
     for course in courses():
         progress(f"moving: {course.name}")
-        rehearsed[course.name] = [run(course, nine(), seed, seconds, stopwatch) for seed in range(seeds)]
-    return rehearsed
+        simulated[course.name] = [run(course, nine(), seed, seconds, stopwatch) for seed in range(seeds)]
+    return simulated
 
 
 def replan_durations_ms(
-    rehearsed: Mapping[str, Sequence[Rehearsal]], stopwatch: Stopwatch, progress: Progress, seconds: float = SECONDS
+    simulated: Mapping[str, Sequence[KinematicSimulation]],
+    stopwatch: Stopwatch,
+    progress: Progress,
+    seconds: float = SECONDS,
 ) -> dict[int, list[float]]:
-    """Return how long each look for a ride took, by the number of vehicles; for the many it is rehearsed here."""
+    """Return how long each look for a trajectory took, by the number of vehicles; for the many it is rehearsed here."""
     progress(f"moving: {MANY} vehicles")
     crowd = run(courses()[0], many(), 0, seconds, stopwatch)
-    return {9: durations_ms(rehearsed[CIRCLE]), MANY: durations_ms([crowd])}
+    return {9: durations_ms(simulated[CIRCLE]), MANY: durations_ms([crowd])}
 
 
-def durations_ms(rehearsals: Sequence[Rehearsal]) -> list[float]:
-    """Return how long each look for a ride took [ms]; the first of each rehearsal loads compiled code."""
-    return [1e3 * replan.took_s for each in rehearsals for replan in each.replans[1:]]
+def durations_ms(simulations: Sequence[KinematicSimulation]) -> list[float]:
+    """Return how long each replan took [ms]; the first of each kinematic simulation loads compiled code."""
+    return [1e3 * replan.took_s for each in simulations for replan in each.replans[1:]]
 
 
-def run(course: Course, swarm: Swarm, seed: int, seconds: float, stopwatch: Stopwatch) -> Rehearsal:
+def run(course: Course, swarm: Swarm, seed: int, seconds: float, stopwatch: Stopwatch) -> KinematicSimulation:
     """Rehearse a course once; seeds 0 or more."""
     name = "target"
-    tracking = Tracking({name: 1.0}, Settings(), most_radius_m=MOST_RADIUS_M)
+    tracking = TrackingSettings({name: 1.0}, Settings(), most_radius_m=MOST_RADIUS_M)
     start = Pose(np.array([0.0, 0.0, 15.0]), facing(np.array([1.0, 0.0, 0.0])))
     sensors = [Sensor(name, course.sensor, seed)]
-    return rehearse(swarm, tracking, start, {name: course.motion(seed)}, sensors, seconds, stopwatch)
+    return simulate_kinematics(swarm, tracking, start, {name: course.motion(seed)}, sensors, seconds, stopwatch)
 
 
 def nine() -> Swarm:

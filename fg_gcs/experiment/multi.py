@@ -8,7 +8,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way
 from fg_gcs.experiment.scenes import LEADERS, crowd
-from fg_gcs.experiment.tables import Column, Table
+from fg_gcs.experiment.tables import Column, ResultTable
 
 SEED = 2103  # arbitrary; the paper prints none
 
@@ -28,7 +28,7 @@ COLUMNS = (
 )
 
 
-def multi(stopwatch: Stopwatch, progress: Progress, seed: int = SEED) -> Table:
+def multi(stopwatch: Stopwatch, progress: Progress, seed: int = SEED) -> ResultTable:
     """Plan for several targets both ways.
 
     Raises:
@@ -65,7 +65,7 @@ def multi(stopwatch: Stopwatch, progress: Progress, seed: int = SEED) -> Table:
             seconds,
         ),
     )
-    return Table("multi", "Several targets", TEXT, COLUMNS, rows)
+    return ResultTable("multi", "Several targets", TEXT, COLUMNS, rows)
 
 
 def _held(leaders_m: Array, targets_m: Array) -> float:

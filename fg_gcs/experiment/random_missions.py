@@ -57,7 +57,7 @@ first_enu_m = [-3.0, -3.0]
 
 
 class RandomMission(NamedTuple):
-    """A mission and the manners of the vehicles that shall fly it."""
+    """A mission and the autopilot of the vehicles that shall fly it."""
 
     text: str  # TOML
     motion: str

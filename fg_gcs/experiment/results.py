@@ -12,16 +12,16 @@ from fg_gcs.experiment.formulations import formulations
 from fg_gcs.experiment.moving_targets import (
     DRAWN,
     SEEDS,
-    rehearse_all,
     replan_durations_ms,
     replan_table,
+    simulate_all,
     tracking_table,
 )
 from fg_gcs.experiment.multi import multi
 from fg_gcs.experiment.scenes import TARGETS, scene
 from fg_gcs.experiment.sensitivity import sensitivity
 from fg_gcs.experiment.table1 import table1
-from fg_gcs.experiment.tables import Table
+from fg_gcs.experiment.tables import ResultTable
 from fg_gcs.experiment.times import times
 
 HEADING = """\
@@ -43,14 +43,14 @@ class Picture(NamedTuple):
     text: str
 
 
-class Result(NamedTuple):
+class ExperimentResult(NamedTuple):
     """What one experiment gives."""
 
-    tables: tuple[Table, ...]
+    tables: tuple[ResultTable, ...]
     pictures: tuple[Picture, ...] = ()
 
 
-def run_figures(stopwatch: Stopwatch, progress: Progress, out: Path) -> Result:
+def run_figures(stopwatch: Stopwatch, progress: Progress, out: Path) -> ExperimentResult:
     """Plan the paper's flights and draw its figures into ``out/figures``.
 
     Raises:
@@ -72,21 +72,21 @@ def run_figures(stopwatch: Stopwatch, progress: Progress, out: Path) -> Result:
         else:
             drawings.save(drawings.draw_flight(flight), folder, f"flight_{name}")
             pictures.append(Picture(f"flight_{name}", f"The hemisphere on its flight to ({flight.scene.name})."))
-    return Result((flights_table(flights),), tuple(pictures))
+    return ExperimentResult((flights_table(flights),), tuple(pictures))
 
 
-def run_moving(stopwatch: Stopwatch, progress: Progress, out: Path, seeds: int = SEEDS) -> Result:
+def run_moving(stopwatch: Stopwatch, progress: Progress, out: Path, seeds: int = SEEDS) -> ExperimentResult:
     """Rehearse tracking with several seeds, and draw the first one's ways and errors into ``out/figures``."""
     from fg_gcs.experiment import drawings  # matplotlib takes half a second to load, and tables do not need it
 
     folder = out / "figures"
     folder.mkdir(parents=True, exist_ok=True)
-    rehearsed = rehearse_all(stopwatch, progress, seeds)
-    tables = (tracking_table(rehearsed), replan_table(replan_durations_ms(rehearsed, stopwatch, progress)))
-    drawn = {name: rehearsed[name][0] for name in DRAWN}
+    simulated = simulate_all(stopwatch, progress, seeds)
+    tables = (tracking_table(simulated), replan_table(replan_durations_ms(simulated, stopwatch, progress)))
+    drawn = {name: simulated[name][0] for name in DRAWN}
     drawings.save(drawings.draw_tracks(drawn), folder, "moving_tracks")
     drawings.save(drawings.draw_errors(drawn), folder, "moving_errors")
-    return Result(
+    return ExperimentResult(
         tables,
         (
             Picture("moving_tracks", "Targets and the formation's centre from above, with the first seed."),
@@ -95,20 +95,20 @@ def run_moving(stopwatch: Stopwatch, progress: Progress, out: Path, seeds: int =
     )
 
 
-def experiments(stopwatch: Stopwatch, progress: Progress, out: Path) -> dict[str, Callable[[], Result]]:
+def experiments(stopwatch: Stopwatch, progress: Progress, out: Path) -> dict[str, Callable[[], ExperimentResult]]:
     """Return every experiment by its name, in the order of the page; each runs when called."""
     return {
-        "table1": lambda: Result((table1(progress),)),
-        "times": lambda: Result((times(stopwatch, progress),)),
+        "table1": lambda: ExperimentResult((table1(progress),)),
+        "times": lambda: ExperimentResult((times(stopwatch, progress),)),
         "figures": lambda: run_figures(stopwatch, progress, out),
-        "multi": lambda: Result((multi(stopwatch, progress),)),
+        "multi": lambda: ExperimentResult((multi(stopwatch, progress),)),
         "moving": lambda: run_moving(stopwatch, progress, out),
-        "formulations": lambda: Result((formulations(stopwatch, progress),)),
-        "sensitivity": lambda: Result(sensitivity(stopwatch, progress)),
+        "formulations": lambda: ExperimentResult((formulations(stopwatch, progress),)),
+        "sensitivity": lambda: ExperimentResult(sensitivity(stopwatch, progress)),
     }
 
 
-def write_tables(tables: Sequence[Table], out: Path) -> tuple[Path, ...]:
+def write_tables(tables: Sequence[ResultTable], out: Path) -> tuple[Path, ...]:
     """Write every table as CSV into ``out/results`` and return the paths."""
     folder = out / "results"
     folder.mkdir(parents=True, exist_ok=True)
@@ -118,7 +118,7 @@ def write_tables(tables: Sequence[Table], out: Path) -> tuple[Path, ...]:
     return paths
 
 
-def write_page(results: Sequence[Result], out: Path) -> Path:
+def write_page(results: Sequence[ExperimentResult], out: Path) -> Path:
     """Write ``out/results.md`` from what the experiments gave and return its path."""
     parts = [HEADING]
     for result in results:
@@ -134,5 +134,5 @@ def write_page(results: Sequence[Result], out: Path) -> Path:
     return path
 
 
-def _source(table: Table) -> str:
+def _source(table: ResultTable) -> str:
     return f"[CSV](results/{table.name}.csv)\n"

@@ -11,7 +11,7 @@ from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way
 from fg_gcs.experiment.published import DRAWN_METRIC, DRAWN_TIME_S
 from fg_gcs.experiment.scenes import PrintedRow, Scene, draws, printed_rows
-from fg_gcs.experiment.tables import Cell, Column, Table
+from fg_gcs.experiment.tables import Cell, Column, ResultTable
 
 DRAWS, SEED = 100, 2103  # as many as the paper's; the seed is arbitrary
 
@@ -51,7 +51,7 @@ SUMMARY = (
 
 def sensitivity(
     stopwatch: Stopwatch, progress: Progress, rows: Sequence[PrintedRow] | None = None, count: int = DRAWS
-) -> tuple[Table, Table]:
+) -> tuple[ResultTable, ResultTable]:
     """Plan the printed rows both ways and fresh draws our way; return the summary and the rows.
 
     Args:
@@ -97,8 +97,8 @@ def sensitivity(
         _summed("ours: fresh draws", drawn, drawn_s, min(figures.separation_ratio for figures, _ in fresh)),
     )
     return (
-        Table("sensitivity", "Sensitivity", SUMMARY_TEXT, SUMMARY, summary),
-        Table("sensitivity_rows", "Sensitivity, row by row", ROWS_TEXT, ROWS, tuple(lines)),
+        ResultTable("sensitivity", "Sensitivity", SUMMARY_TEXT, SUMMARY, summary),
+        ResultTable("sensitivity_rows", "Sensitivity, row by row", ROWS_TEXT, ROWS, tuple(lines)),
     )
 
 

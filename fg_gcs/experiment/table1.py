@@ -10,7 +10,7 @@ from fg_gcs.experiment.baselines.least_squares import FREE_SIZE, HELD_SIZE, plan
 from fg_gcs.experiment.baselines.reference_planner import plan_leaders
 from fg_gcs.experiment.published import FLUX_GUIDED, LENGTHS_M
 from fg_gcs.experiment.scenes import LEADERS, scene
-from fg_gcs.experiment.tables import Cell, Column, Table
+from fg_gcs.experiment.tables import Cell, Column, ResultTable
 
 TEXT = (
     "Way of the four leaders together, from a 5 m square that looks along +x. The published lengths stand beside "
@@ -31,7 +31,7 @@ COLUMNS = (
 )
 
 
-def table1(progress: Progress) -> Table:
+def table1(progress: Progress) -> ResultTable:
     """Measure all lengths.
 
     Raises:
@@ -62,4 +62,4 @@ def table1(progress: Progress) -> Table:
                 figures.coverage_after_facing,
             )
         )
-    return Table("table1", "Path lengths", TEXT, COLUMNS, tuple(rows))
+    return ResultTable("table1", "Path lengths", TEXT, COLUMNS, tuple(rows))

@@ -29,7 +29,7 @@ class Column(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
+class ResultTable:
     """One experiment's results."""
 
     name: str  # of its file, without ending

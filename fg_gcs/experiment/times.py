@@ -8,7 +8,7 @@ from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way
 from fg_gcs.experiment.published import PLAN_TIMES_S
 from fg_gcs.experiment.scenes import scene
-from fg_gcs.experiment.tables import Cell, Column, Table
+from fg_gcs.experiment.tables import Cell, Column, ResultTable
 
 REPEATS = 3  # the two ways in turn, as often; medians are shown
 
@@ -26,7 +26,7 @@ COLUMNS = (
 )
 
 
-def times(stopwatch: Stopwatch, progress: Progress, repeats: int = REPEATS) -> Table:
+def times(stopwatch: Stopwatch, progress: Progress, repeats: int = REPEATS) -> ResultTable:
     """Measure both flights."""
     rows: list[tuple[Cell, ...]] = []
     for target_m, published_s in PLAN_TIMES_S.items():
@@ -44,4 +44,4 @@ def times(stopwatch: Stopwatch, progress: Progress, repeats: int = REPEATS) -> T
             plan_s.append(stopwatch() - found)
         theirs, mine = median(theirs_s), median(plan_s)
         rows.append((made.name, published_s, theirs, mine, median(search_s), theirs / mine))
-    return Table("times", "Planning times", TEXT, COLUMNS, tuple(rows))
+    return ResultTable("times", "Planning times", TEXT, COLUMNS, tuple(rows))

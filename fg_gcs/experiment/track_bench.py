@@ -25,7 +25,7 @@ from fg_gcs.console.fly import Options, fly
 from fg_gcs.errors import FgError, MissionError
 from fg_gcs.experiment.moving_targets import MANY, REPLANS, Requirement, courses, durations_ms, many, nine, run
 from fg_gcs.experiment.random_missions import random_mission
-from fg_gcs.experiment.tables import Cell, Column, Table
+from fg_gcs.experiment.tables import Cell, Column, ResultTable
 from fg_gcs.mission import load_mission
 from fg_gcs.record.evaluate.figures import PLANNED_STAGES
 from fg_gcs.record.write.recorder import SUMMARY, plain
@@ -36,7 +36,7 @@ Summary = Mapping[str, object]
 MISSIONS = ("circle", "figure_eight", "evader", "lost_and_found", "convoy", "escort")
 ROUGH = "circle, rough"
 ROUGH_SENSOR = "\n[targets.sensor]\ndrop = 0.3\noutliers = 0.05\noutlier_m = 20.0\n"  # goes to the last target
-REHEARSED_S = 60.0  # a minute gives some 600 durations of replanning
+SIMULATED_S = 60.0  # a minute gives some 600 durations of replanning
 ROUNDING = 1e-9  # of a limit: arithmetic, not motion
 INSTANT_S = 1e-4  # setpoints closer together than this tell rounding, not jerk
 KEYS = (  # of every mission's summary, by the names of the JSON of `fly`
@@ -115,7 +115,7 @@ class Tried(NamedTuple):
     flight: Flight | None  # None: it could not be flown
 
 
-Flyer = Callable[[str, str | None], Flight]  # takes a mission's TOML and the simulator's manners (None: as it says)
+Flyer = Callable[[str, str | None], Flight]  # takes a mission's TOML and the simulator's autopilot (None: as it says)
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,8 @@ class Size:
     """How much is measured."""
 
     flights: int = 0  # random ones, besides the missions
-    seed: int = 0  # of the first random flight, one more for each of the next; and of the rehearsals
-    rehearsed_s: float = REHEARSED_S
+    seed: int = 0  # of the first random flight, one more for each of the next; and of the kinematic simulations
+    simulated_s: float = SIMULATED_S
     jobs: int = 1  # processes for the random flights
 
 
@@ -141,7 +141,7 @@ def bench_track(missions: Path, size: Size, *, as_json: bool) -> int:
         PlanError: a mission has no plan.
     """
     figures, rows = measure(missions, size, fly_once, time.perf_counter, tell)
-    show(Table("track", "Tracking", TEXT, COLUMNS, rows))
+    show(ResultTable("track", "Tracking", TEXT, COLUMNS, rows))
     if as_json:
         print(json.dumps(plain(figures)), flush=True)
     return 0
@@ -165,12 +165,12 @@ def measure(
     durations: dict[int, list[float]] = {}
     for vehicles, swarm in ((9, nine()), (MANY, many())):
         progress(f"replanning for {vehicles} vehicles")
-        durations[vehicles] = durations_ms([run(courses()[0], swarm, size.seed, size.rehearsed_s, stopwatch)])
+        durations[vehicles] = durations_ms([run(courses()[0], swarm, size.seed, size.simulated_s, stopwatch)])
     drawn = _random_flights(size, flyer, progress)
     rows = [*_mission_rows(flown), *_replan_rows(durations), *_random_rows(drawn)]
     figures: dict[str, object] = {
         "seeds": {
-            "rehearsal": size.seed,
+            "kinematic simulation": size.seed,
             "flights": [size.seed + number for number in range(size.flights)],
             "sensors": {name: _sensor_seeds(missions / f"{name}.toml") for name in MISSIONS},
         },
@@ -183,7 +183,7 @@ def measure(
             str(vehicles): {"median_ms": np.median(took), "p99_ms": np.percentile(took, 99.0), "count": len(took)}
             for vehicles, took in durations.items()
         },
-        "sensed_to_setpoint_p99_ms": None,  # virtual time stands still while a ride is planned
+        "sensed_to_setpoint_p99_ms": None,  # virtual time stands still while a trajectory is planned
         "flights": drawn,
         "requirements": [dict(zip(("target", "figure", "required", "value", "met"), row, strict=True)) for row in rows],
     }

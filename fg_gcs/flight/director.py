@@ -17,7 +17,7 @@ from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limi
 from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT
 from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
-from fg_gcs.flight.target_follower import Pursuit, Tracked
+from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import parse_endpoint
 from fg_gcs.link.router import Counters, Direction, Router
@@ -42,7 +42,7 @@ class Setup(NamedTuple):
 
 
 @dataclass
-class Result:
+class FlightResult:
     """How a run went."""
 
     completed: bool = False
@@ -55,7 +55,7 @@ class Result:
     lost: tuple[int, ...] = ()  # system ids that fell silent and did not come back
     late_ticks: int = 0
     counters: Counters | None = None
-    tracked: Tracked | None = None  # of missions with moving targets, once tracking has begun
+    tracking: TrackingSummary | None = None  # of missions with moving targets, once tracking has begun
 
 
 class Director:
@@ -65,16 +65,16 @@ class Director:
         result: what is known so far.
         fleet: the vehicles, once they are found.
         journal: the present stage and what was said.
-        pursuit: of moving targets, once it is ready.
+        target follower: of moving targets, once it is ready.
         streamer: the source of setpoints, once there is a plan.
     """
 
     def __init__(self, mission: Mission, setup: Setup, recorder: Recorder) -> None:
         """Prepare to fly; nothing is opened before :meth:`fly`."""
-        self.result = Result()
+        self.result = FlightResult()
         self.fleet: Fleet | None = None
         self.journal = Journal(recorder)
-        self.pursuit: Pursuit | None = None
+        self.target_follower: TargetFollower | None = None
         self.streamer: Streamer | None = None
         self._mission = mission
         self._setup = setup
@@ -100,7 +100,7 @@ class Director:
         if self.streamer is not None:
             await self.streamer.quiet_moment()
 
-    async def fly(self) -> Result:
+    async def fly(self) -> FlightResult:
         """Fly the mission; returns with everybody that still obeys on the ground.
 
         Raises:
@@ -121,9 +121,9 @@ class Director:
             self.result.stages = self.journal.stages
             self.result.counters = router.counters
             router.close()
-            if self.pursuit is not None:
-                self.pursuit.close()
-                self.result.tracked = self.pursuit.tracked
+            if self.target_follower is not None:
+                self.target_follower.close()
+                self.result.tracking = self.target_follower.tracking
         if self._failure is not None:
             raise self._failure
         return self.result
@@ -140,7 +140,7 @@ class Director:
                 plan = self._plan(fleet, task)
                 sortie = Sortie(fleet, self._mission, task, plan, self.journal, self.interrupt)
                 if self._mission.targets is not None:
-                    self.pursuit = await self._listen(sortie.streamer, task, plan)
+                    self.target_follower = await self._listen(sortie.streamer, task, plan)
                 sorties.append(sortie)
 
         try:
@@ -148,11 +148,11 @@ class Director:
             sortie = sorties[0]
             self.streamer = sortie.streamer
             background += [asyncio.create_task(sortie.streamer.run()), asyncio.create_task(sortie.watch())]
-            if self.pursuit is None:
+            if self.target_follower is None:
                 flight = sortie.fly()
             else:
-                background.append(asyncio.create_task(self.pursuit.run()))
-                flight = sortie.track(self.pursuit, self._origin())
+                background.append(asyncio.create_task(self.target_follower.run()))
+                flight = sortie.track(self.target_follower, self._origin())
             await self._unless_interrupted(self._all_alive(flight, background))
             self.result.completed = True
         except VehicleError as error:
@@ -174,7 +174,7 @@ class Director:
             found = await discover(router, self._setup.endpoints, swarm.vehicles, wanted, self._setup.wait_s)
             self.fleet = Fleet(router, found)
             self.result.system_ids = tuple(self.fleet.row_of)
-            kinds = sorted({vehicle.manners.name for vehicle in found})
+            kinds = sorted({vehicle.profile.name for vehicle in found})
             self.journal.event("vehicles", f"vehicles {names(self.fleet.row_of)} ({', '.join(kinds)})")
         return self.fleet
 
@@ -190,7 +190,7 @@ class Director:
         return replace(task, rules=replace(task.rules, limits=limits))
 
     def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
-        """Plan from where the vehicles really stand, and prove it, before anything is armed."""
+        """Plan from where the vehicles really stand, and verify it, before anything is armed."""
         tops = fleet.positions_enu_m()
         tops[:, 2] = self._mission.takeoff.height_m
         plan = compile_flight(task, tops, self._setup.stopwatch)
@@ -207,10 +207,10 @@ class Director:
     def _knows_origin(self) -> bool:
         return self._mission.origin is not None or self._setup.simulated
 
-    async def _listen(self, streamer: Streamer, task: Task, plan: FlightPlan) -> Pursuit:
+    async def _listen(self, streamer: Streamer, task: Task, plan: FlightPlan) -> TargetFollower:
         """Open the sources of moving targets, before anything is armed."""
         setup = self._setup
-        pursuit = Pursuit(
+        target_follower = TargetFollower(
             self._mission,
             task,
             task.formation.slots_m[plan.slot_of],
@@ -219,8 +219,8 @@ class Director:
             setup.stopwatch,
             setup.targets_endpoint,
         )
-        await pursuit.open()
-        return pursuit
+        await target_follower.open()
+        return target_follower
 
     def _origin(self) -> Geodetic:
         """Return where on Earth the mission's (0, 0, 0) is: as the file says, or as learnt from the first vehicle."""

@@ -38,7 +38,7 @@ class Planning:
         """Return what steps lead to; None if there are none, if it is over, or if it comes too late.
 
         Args:
-            steps: None after each that led to nothing yet, see :meth:`fg_gcs.track.tracker.Tracker.replanning`.
+            steps: None after each that led to nothing yet, see :meth:`.FollowingCore.replanning`.
             is_over: says whether nobody wants the plan any more.
         """
         time = asyncio.get_running_loop().time

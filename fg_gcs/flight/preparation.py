@@ -61,10 +61,10 @@ async def prepare(fleet: Fleet, recorder: Recorder) -> None:
 
     def script(vehicle: Vehicle) -> Iterator[Request]:
         rate_hz = TELEMETRY_HZ[len(fleet.vehicles) > MANY]
-        for stream in vehicle.manners.streams(rate_hz):
+        for stream in vehicle.profile.streams(rate_hz):
             yield set_message_interval(stream.message_id, stream.rate_hz, optional=not stream.needed)
-        if vehicle.manners.take_off is TakeOff.BY_COMMAND:
-            yield set_mode(vehicle.manners.streaming_mode)
+        if vehicle.profile.take_off is TakeOff.BY_COMMAND:
+            yield set_mode(vehicle.profile.streaming_mode)
 
     await fleet.ask(fleet.vehicles, script)
     try:
@@ -98,7 +98,7 @@ async def vehicle_limits(fleet: Fleet, limits: Limits, recorder: Recorder) -> Li
     """
 
     def script(vehicle: Vehicle) -> Iterator[Request]:
-        for limit in vehicle.manners.limits:
+        for limit in vehicle.profile.limits:
             for name in limit.names:
                 if not any(known in vehicle.params for known in limit.names):
                     # ArduPilot meets an unknown name with silence; a known one it answers within 0.1 s
@@ -107,7 +107,7 @@ async def vehicle_limits(fleet: Fleet, limits: Limits, recorder: Recorder) -> Li
     await fleet.ask(fleet.vehicles, script)
     lowest: dict[str, tuple[float, str, int]] = {}
     for vehicle in fleet.vehicles:
-        for limit in vehicle.manners.limits:
+        for limit in vehicle.profile.limits:
             for name, scale in limit.names.items():
                 value = vehicle.params.get(name, 0.0) * scale
                 if value > 0.0:
@@ -138,19 +138,19 @@ class Failsafes:
         """
         vehicles = self._fleet.vehicles
         await self._fleet.ask(
-            vehicles, lambda vehicle: [read_parameter(f.name, optional=True) for f in vehicle.manners.failsafes]
+            vehicles, lambda vehicle: [read_parameter(f.name, optional=True) for f in vehicle.profile.failsafes]
         )
         self._found = [
             (vehicle, failsafe.name, vehicle.params[failsafe.name])
             for vehicle in vehicles
-            for failsafe in vehicle.manners.failsafes
+            for failsafe in vehicle.profile.failsafes
             if _to_change(vehicle, failsafe)
         ]
         await self._fleet.ask(
             vehicles,
             lambda vehicle: [
                 write_parameter(failsafe.name, failsafe.wanted)
-                for failsafe in vehicle.manners.failsafes
+                for failsafe in vehicle.profile.failsafes
                 if failsafe.wanted is not None and _to_change(vehicle, failsafe)
             ],
         )
@@ -174,7 +174,7 @@ class Failsafes:
         groups: dict[tuple[str, float, float | None, str], list[int]] = {}
         changed = {(vehicle.system_id, name): value for vehicle, name, value in self._found}
         for vehicle in self._fleet.vehicles:
-            for failsafe in vehicle.manners.failsafes:
+            for failsafe in vehicle.profile.failsafes:
                 if failsafe.name in vehicle.params:
                     value = vehicle.params[failsafe.name]
                     found = changed.get((vehicle.system_id, failsafe.name), value)

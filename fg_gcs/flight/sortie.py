@@ -11,11 +11,11 @@ import numpy as np
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.errors import PlanError, VehicleError
 from fg_gcs.flight.fleet import STEP_S, Fleet, names, until
-from fg_gcs.flight.formation_motion import Chase
+from fg_gcs.flight.formation_motion import FormationMotion
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.safety import CONSEQUENCES, Action, Kind, faults
 from fg_gcs.flight.streamer import Brake, Follow, Motion, Rest, Streamer
-from fg_gcs.flight.target_follower import Pursuit
+from fg_gcs.flight.target_follower import TargetFollower
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, plan_home
@@ -42,7 +42,7 @@ WATCHED = {  # on the way up everybody is still below the floor, and who disarms
 
 
 class Sortie:
-    """One flight of a fleet that is ready to arm, along plans that are proven."""
+    """One flight of a fleet that is ready to arm, along plans that are verified."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Sortie:
         self._plan = plan
         self._journal = journal
         self._abort = abort
-        self._pursuit: Pursuit | None = None
+        self._target_follower: TargetFollower | None = None
         self._tops_m = plan.gather.sample(np.zeros(1)).position_m[0]  # (V, 3) above the pads
         self._known_faults: set[tuple[Kind, tuple[int, ...]]] = set()
         self._time = asyncio.get_running_loop().time
@@ -94,24 +94,24 @@ class Sortie:
         with self._journal.in_stage("land"):
             await self._land(everybody)
 
-    async def track(self, pursuit: Pursuit, origin: Geodetic) -> None:
+    async def track(self, target_follower: TargetFollower, origin: Geodetic) -> None:
         """Take off, gather, catch what moves and stay around it, fly home from there, land.
 
         Args:
-            pursuit: whose sources are open.
+            target_follower: whose sources are open.
             origin: where on Earth the mission's (0, 0, 0) is.
 
         Raises:
-            VehicleError: a vehicle did not do as told, or the pursuit was given up.
+            VehicleError: a vehicle did not do as told, or the target follower was given up.
         """
         await self._gather(range(len(self._fleet.vehicles)))
         with self._journal.in_stage("approach"):
-            self._pursuit = pursuit
-            pursuit.begin(origin)
-            await self._pursued(pursuit, lambda: pursuit.caught_s is not None)
+            self._target_follower = target_follower
+            target_follower.begin(origin)
+            await self._followed(target_follower, lambda: target_follower.caught_s is not None)
         with self._journal.in_stage("hold"):
-            ends_s = self._journal.stage_ends_s = (pursuit.caught_s or 0.0) + self._mission.hold.duration_s
-            await self._pursued(pursuit, lambda: self._time() >= ends_s)
+            ends_s = self._journal.stage_ends_s = (target_follower.caught_s or 0.0) + self._mission.hold.duration_s
+            await self._followed(target_follower, lambda: self._time() >= ends_s)
         try:
             await self._home_from_anywhere()
         except PlanError as error:
@@ -164,13 +164,13 @@ class Sortie:
         """Lift everybody to the place above its pad, each autopilot in its own way."""
         fleet, streamer = self._fleet, self.streamer
         everybody = range(len(fleet.vehicles))
-        by_setpoint = [v for v in fleet.vehicles if v.manners.take_off is TakeOff.BY_SETPOINT]
-        by_command = [v for v in fleet.vehicles if v.manners.take_off is TakeOff.BY_COMMAND]
+        by_setpoint = [v for v in fleet.vehicles if v.profile.take_off is TakeOff.BY_SETPOINT]
+        by_command = [v for v in fleet.vehicles if v.profile.take_off is TakeOff.BY_COMMAND]
         height_m = self._mission.takeoff.height_m
         ground = fleet.positions_enu_m()
         streamer.motion = Rest(everybody, ground, self._plan.gather.yaw_rad(ground))
         streamer.engage(fleet.row_of[v.system_id] for v in by_setpoint)
-        await fleet.ask(fleet.vehicles, lambda vehicle: [set_mode(vehicle.manners.streaming_mode), arm()])
+        await fleet.ask(fleet.vehicles, lambda vehicle: [set_mode(vehicle.profile.streaming_mode), arm()])
         streamer.motion = Rest(everybody, self._tops_m, self._plan.gather.yaw_rad(self._tops_m))
         await fleet.ask(by_command, lambda vehicle: [take_off(height_m, CLIMB_M_S)])
         streamer.engage(everybody)  # the last of them is in the air: setpoints cancel no take-off any more
@@ -182,7 +182,7 @@ class Sortie:
         self._journal.stage_ends_s = motion.end_s
         await asyncio.sleep(plan.duration_s)
 
-    async def _pursued(self, pursuit: Pursuit, done: Callable[[], bool]) -> None:
+    async def _followed(self, target_follower: TargetFollower, done: Callable[[], bool]) -> None:
         """Wait until something is reached.
 
         Raises:
@@ -191,7 +191,7 @@ class Sortie:
         async for _ in ticks(self._time(), STEP_S):
             if done():
                 return
-            reason = pursuit.hopeless()
+            reason = target_follower.give_up_reason()
             if reason is not None:
                 raise VehicleError(reason)
 
@@ -244,7 +244,7 @@ class Sortie:
             PlanError: there are no such lines.
             VehicleError: a vehicle does not do as told.
         """
-        if not isinstance(self.streamer.motion, Follow | Chase):
+        if not isinstance(self.streamer.motion, Follow | FormationMotion):
             raise VehicleError("everybody is above its own pad")
         with self._journal.in_stage("home"):
             still = await self._at_rest(self.streamer.motion)
@@ -254,23 +254,23 @@ class Sortie:
         with self._journal.in_stage("land"):
             await self._land(rows)
 
-    async def _at_rest(self, motion: Follow | Chase) -> Motion:
-        """Stop on the path, or on the ride that is proven for it; return the motion that rests."""
+    async def _at_rest(self, motion: Follow | FormationMotion) -> Motion:
+        """Stop on the path, or on the trajectory that is verified for it; return the motion that rests."""
         if isinstance(motion, Follow):
             brake = self.streamer.motion = Brake(motion, self._time())
             await asyncio.sleep(brake.end_s - self._time())
             return brake
-        assert self._pursuit is not None, "nothing else chases"
-        await asyncio.sleep(self._pursuit.stop() - self._time())
+        assert self._target_follower is not None, "nothing else chases"
+        await asyncio.sleep(self._target_follower.stop() - self._time())
         return motion
 
     def _way_home(self, still: Motion, rows: Sequence[int]) -> CheckedPlan:
-        """Plan and prove the way home of those at ``rows`` from where they have come to rest."""
+        """Plan and verify the way home of those at ``rows`` from where they have come to rest."""
         places = still.at(self._time()).position_m[[list(still.rows).index(row) for row in rows]]
         others = [row for row, v in enumerate(self._fleet.vehicles) if row not in rows and v.armed]
         in_the_way = self._fleet.positions_enu_m()[others]  # lost or taken: as far as known, they stay where they are
         way = plan_home(places, self._tops_m[list(rows)], self._task, in_the_way)
-        gaze_enu_m = self._task.target_enu_m if self._pursuit is None else self._pursuit.gaze_enu_m
+        gaze_enu_m = self._task.target_enu_m if self._target_follower is None else self._target_follower.gaze_enu_m
         return check(way.pieces, self._task.rules, gaze_enu_m)
 
     def _obeying(self) -> list[int]:

@@ -24,7 +24,7 @@ from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
 REMEMBERED = 100  # rounds of setpoints: a second or two of them, which is longer than anybody asks back
 
 
-class Wanted(NamedTuple):
+class SwarmSetpoint(NamedTuple):
     """What V vehicles should be doing at one instant; each array of shape (V, 3) but the yaw."""
 
     position_m: Array  # [m; ENU]
@@ -38,7 +38,7 @@ class Motion(Protocol):
 
     rows: Sequence[int]  # the fleet's rows that it moves, in the order of its own
 
-    def at(self, now_s: float) -> Wanted:
+    def at(self, now_s: float) -> SwarmSetpoint:
         """Return what is wanted at a reading of the loop's clock [s]."""
 
 
@@ -49,9 +49,9 @@ class Rest:
         """Take places of shape (V, 3) [m; ENU] and headings of shape (V,) [rad]."""
         still = np.zeros_like(position_enu_m)
         self.rows = rows
-        self._wanted = Wanted(position_enu_m, still, still, yaw_rad)
+        self._wanted = SwarmSetpoint(position_enu_m, still, still, yaw_rad)
 
-    def at(self, now_s: float) -> Wanted:
+    def at(self, now_s: float) -> SwarmSetpoint:
         """Return the same at any time."""
         return self._wanted
 
@@ -70,13 +70,13 @@ class Follow:
         """The clock's reading at which the plan ends [s]."""
         return self.start_s + self.plan.duration_s
 
-    def at(self, now_s: float) -> Wanted:
+    def at(self, now_s: float) -> SwarmSetpoint:
         """Return the plan's sample."""
         return looking(self.plan, *_row(self.plan.sample(np.array([now_s - self.start_s]))))
 
 
 class Brake:
-    """Come to rest on a plan's own path, so that the separation it proves still holds.
+    """Come to rest on a plan's own path, so that the separation it verifies still holds.
 
     The plan's time runs slower and slower until it stands still: with the rate ``r(t)`` falling from 1 to 0 over the
     braking time, speeds are multiplied by ``r`` and accelerations become ``a r^2 + v r'``.
@@ -98,7 +98,7 @@ class Brake:
         """The clock's reading at which everything is at rest [s]."""
         return self.start_s + self._duration_s
 
-    def at(self, now_s: float) -> Wanted:
+    def at(self, now_s: float) -> SwarmSetpoint:
         """Return the slowed sample."""
         passed = min(max(now_s - self.start_s, 0.0), self._duration_s)
         rate = 1.0 - passed / self._duration_s
@@ -186,9 +186,9 @@ class Streamer:
         self._rounds_s.append(asyncio.get_running_loop().time())
 
 
-def looking(plan: CheckedPlan, position_m: Array, velocity_m_s: Array, acceleration_m_s2: Array) -> Wanted:
+def looking(plan: CheckedPlan, position_m: Array, velocity_m_s: Array, acceleration_m_s2: Array) -> SwarmSetpoint:
     """Complete a sample by the headings that look at the plan's target."""
-    return Wanted(position_m, velocity_m_s, acceleration_m_s2, plan.yaw_rad(position_m))
+    return SwarmSetpoint(position_m, velocity_m_s, acceleration_m_s2, plan.yaw_rad(position_m))
 
 
 def _row(sample: Sample) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Moving targets in flight: sightings come in, rides go out to the streamer, and planning never delays a setpoint."""
+"""Moving targets in flight: sightings come in, trajectories go to the streamer, planning never delays a setpoint."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
-from fg_gcs.flight.formation_motion import Chase
+from fg_gcs.flight.formation_motion import FormationMotion
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.planning import LATE_S, Planning
 from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, Sources
@@ -21,25 +21,25 @@ from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.track.estimate.estimator import Settings
 from fg_gcs.track.estimate.group import GroupEstimate
-from fg_gcs.track.follow.replanner import Goal, Mode, Replan, Swarm
+from fg_gcs.track.follow.replanner import FollowMode, Goal, Replan, Swarm
+from fg_gcs.track.following_core import FollowingCore, TrackingSettings
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
-from fg_gcs.track.tracker import Tracker, Tracking
 
-QUIET_S = 0.25  # without a sighting for so long the ride is planned anew all the same: what is unknown grows
+QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same: what is unknown grows
 LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before everybody goes home for it
 TRUTH_S = 0.02  # between instants for which true positions are written down: the stream's usual period
 KEPT = frozenset({Verdict.TAKEN, Verdict.TENTATIVE})  # any other verdict is a refusal
 
 
-class Status(NamedTuple):
+class TrackingStatus(NamedTuple):
     """What a person wants to know of the tracking now."""
 
-    mode: Mode
+    mode: FollowMode
     targets: int  # how many there are
     known: GroupEstimate | None  # of all targets together; None before any was seen
     error_m: float  # of the formation's centre, by the estimate; infinite before anything is known
     growth: float  # size of the formation as a share of that at the start
-    rests: bool  # the formation has come to the end of its ride: it stands until there is another one
+    rests: bool  # the formation has come to the end of its trajectory: it stands until there is another one
     caught: bool  # the formation has been around the target
     patience_s: float  # after so much more without a sighting, or without the capture, everybody goes home
     sightings: int  # all that came so far
@@ -47,7 +47,7 @@ class Status(NamedTuple):
     latency_s: float  # from the last sighting's stamp to when the first setpoint that it led to had left; NaN: none yet
 
 
-class Tracked(NamedTuple):
+class TrackingSummary(NamedTuple):
     """What came of the tracking; times are loop times."""
 
     began_s: float
@@ -59,7 +59,7 @@ class Tracked(NamedTuple):
     refused: dict[Verdict, int]
 
 
-class Pursuit:
+class TargetFollower:
     """Tracks a mission's targets with a formation that stands ready.
 
     First :meth:`open`, then :meth:`run` as a task; tracking goes on from :meth:`begin` to :meth:`stop`.
@@ -98,20 +98,23 @@ class Pursuit:
         self._sources = Sources(mission.targets or [], self._sighted, self._refused, simulated_endpoint)
         self._time = asyncio.get_running_loop().time
         self._wake = asyncio.Event()
-        self._tracker: Tracker | None = None
-        self._chase: Chase | None = None
+        self._core: FollowingCore | None = None
+        self._formation_motion: FormationMotion | None = None
         self._ended_s: float | None = None
         self._began_s = self._taken_s = self._time()
-        self._sighted_s = np.nan  # when the oldest sighting came that no ride was planned for yet
+        self._sighted_s = np.nan  # when the oldest sighting came that no trajectory was planned for yet
         self._stamp_s = np.nan  # when what it says was true
-        self._told_s = (np.nan, np.nan)  # that of the newest one that a ride was planned for, and when that was done
+        self._told_s = (
+            np.nan,
+            np.nan,
+        )  # that of the newest one that a trajectory was planned for, and when that was done
         self._latency_s = np.nan
         self._planning = Planning(streamer)
         self._told_late = False
         self._planning_s: list[float] = []
         self._count = 0
         self._refusals: Counter[Verdict] = Counter()
-        self._modes: set[Mode] = set()
+        self._modes: set[FollowMode] = set()
         self._lost: tuple[str, ...] = ()
 
     async def open(self) -> None:
@@ -129,11 +132,13 @@ class Pursuit:
         motion = self._streamer.motion
         assert motion is not None, "the formation has gathered, so there is a motion"
         now_s = self._began_s = self._taken_s = self._time()
-        self._tracker = Tracker(self._swarm, self._settings, self._task.start, now_s)
+        self._core = FollowingCore(self._swarm, self._settings, self._task.start, now_s)
         yaw_rad = motion.at(now_s).yaw_rad
         gaze_enu_m = self._task.target_enu_m
-        self._chase = Chase(motion.rows, self._swarm.slots_m, self._tracker.ride, gaze_enu_m, yaw_rad, now_s)
-        self._streamer.motion = self._chase
+        self._formation_motion = FormationMotion(
+            motion.rows, self._swarm.slots_m, self._core.trajectory, gaze_enu_m, yaw_rad, now_s
+        )
+        self._streamer.motion = self._formation_motion
         self._sources.begin(origin)
 
     async def run(self) -> None:
@@ -144,23 +149,23 @@ class Pursuit:
                     await self._wake.wait()
             self._wake.clear()
             await self._planning.gap()
-            if self._tracker is not None and self._chase is not None and self._ended_s is None:
-                await self._replan(self._tracker, self._chase)
+            if self._core is not None and self._formation_motion is not None and self._ended_s is None:
+                await self._replan(self._core, self._formation_motion)
 
     def stop(self) -> float:
         """Track no longer, and come to rest; return the loop's time at which everybody rests [s]."""
-        assert self._tracker is not None, "only what has begun is stopped"
-        assert self._chase is not None, "likewise"
+        assert self._core is not None, "only what has begun is stopped"
+        assert self._formation_motion is not None, "likewise"
         now_s = self._time()
         if self._ended_s is None:
-            self._chase.ride = self._tracker.replanner.stop(now_s).ride
-            self._chase.look_at(now_s, self._chase.gaze_enu_m(now_s), np.zeros(3))
+            self._formation_motion.trajectory = self._core.replanner.stop(now_s).trajectory
+            self._formation_motion.look_at(now_s, self._formation_motion.gaze_enu_m(now_s), np.zeros(3))
         self.close()
-        return max(self._chase.ride.end_s, now_s)
+        return max(self._formation_motion.trajectory.end_s, now_s)
 
     def close(self) -> None:
         """Track no longer, write down how it was, and close all ports; may be called at any time, and twice."""
-        if self._tracker is not None and self._ended_s is None:
+        if self._core is not None and self._ended_s is None:
             self._ended_s = self._time()
             self._write_truth(self._ended_s)
             refused = ", ".join(f"{count} {said(verdict)}" for verdict, count in self._refusals.items())
@@ -170,29 +175,33 @@ class Pursuit:
     @property
     def caught_s(self) -> float | None:
         """The loop's time at which the target was caught, None until then [s]."""
-        return None if self._tracker is None else self._tracker.caught_s
+        return None if self._core is None else self._core.caught_s
 
     @property
     def gaze_enu_m(self) -> Array:
         """The point that everybody looks at now, shape (3,) [m; ENU]."""
-        return self._task.target_enu_m if self._chase is None else self._chase.gaze_enu_m(self._time())
+        return (
+            self._task.target_enu_m
+            if self._formation_motion is None
+            else self._formation_motion.gaze_enu_m(self._time())
+        )
 
     @property
-    def status(self) -> Status | None:
+    def status(self) -> TrackingStatus | None:
         """What a person wants to know now; None while nothing is tracked."""
-        if self._tracker is None or self._ended_s is not None:
+        if self._core is None or self._ended_s is not None:
             return None
         now_s = self._time()
         self._measure()
         caught = self.caught_s is not None
         uncaught_s = np.inf if caught else self._track.give_up_s - (now_s - self._began_s)
-        return Status(
-            self._tracker.replanner.mode,
+        return TrackingStatus(
+            self._core.replanner.mode,
             len(self._names),
-            self._tracker.known(now_s),
-            self._tracker.error_m(now_s),
-            float(self._tracker.ride.frames(np.array([now_s])).scale[0]) / self._task.start.scale,
-            now_s >= self._tracker.ride.end_s,
+            self._core.known(now_s),
+            self._core.error_m(now_s),
+            float(self._core.trajectory.frames(np.array([now_s])).scale[0]) / self._task.start.scale,
+            now_s >= self._core.trajectory.end_s,
             caught,
             min(self._patience_s(now_s), uncaught_s),
             self._count,
@@ -201,16 +210,18 @@ class Pursuit:
         )
 
     @property
-    def tracked(self) -> Tracked | None:
+    def tracking(self) -> TrackingSummary | None:
         """What came of it so far; None if tracking never began."""
-        if self._tracker is None:
+        if self._core is None:
             return None
         ended_s = self._time() if self._ended_s is None else self._ended_s
         planning_s = tuple(self._planning_s)
         late = self._planning.late
-        return Tracked(self._began_s, ended_s, self.caught_s, planning_s, late, self._count, dict(self._refusals))
+        return TrackingSummary(
+            self._began_s, ended_s, self.caught_s, planning_s, late, self._count, dict(self._refusals)
+        )
 
-    def hopeless(self) -> str | None:
+    def give_up_reason(self) -> str | None:
         """Return why it makes no sense to go on, None if it does."""
         now_s, track = self._time(), self._track
         if self._patience_s(now_s) < 0.0:
@@ -233,10 +244,10 @@ class Pursuit:
     # --- sightings -----------------------------------------------------------------------------------------------
 
     def _sighted(self, sighting: Sighting) -> None:
-        if self._tracker is None or self._ended_s is not None:
+        if self._core is None or self._ended_s is not None:
             return
         now_s, recorder = self._time(), self._journal.recorder
-        verdict = self._tracker.sighted(sighting, now_s)
+        verdict = self._core.sighted(sighting, now_s)
         self._count += 1
         target = self._names.index(sighting.target) if sighting.target in self._names else -1
         stamp_s, arrived_s = recorder.since_start_s(sighting.time_s), recorder.since_start_s(now_s)
@@ -251,7 +262,7 @@ class Pursuit:
             self._wake.set()
 
     def _refused(self, verdict: Verdict, count: int) -> None:
-        if self._tracker is not None and self._ended_s is None:
+        if self._core is not None and self._ended_s is None:
             self._count += count
             self._refuse(verdict, count)
 
@@ -264,22 +275,22 @@ class Pursuit:
 
     # --- planning ------------------------------------------------------------------------------------------------
 
-    async def _replan(self, tracker: Tracker, chase: Chase) -> None:
-        now_s, began_s, was_caught = self._time(), self._stopwatch(), tracker.caught_s is not None
-        known = tracker.known(now_s)
+    async def _replan(self, core: FollowingCore, formation_motion: FormationMotion) -> None:
+        now_s, began_s, was_caught = self._time(), self._stopwatch(), core.caught_s is not None
+        known = core.known(now_s)
         if known is None:  # nobody has been seen yet
             return
         sighted_s, stamp_s = self._sighted_s, self._stamp_s
-        self._sighted_s = self._stamp_s = np.nan  # what comes from now on is for the next ride
-        replan = await self._planning.result(tracker.replanning(now_s), lambda: self._ended_s is not None)
-        if replan is None:  # the present ride goes on, and it was proven
+        self._sighted_s = self._stamp_s = np.nan  # what comes from now on is for the next trajectory
+        replan = await self._planning.result(core.replanning(now_s), lambda: self._ended_s is not None)
+        if replan is None:  # the present trajectory goes on, and it was verified
             self._sighted_s, self._stamp_s = np.fmin(sighted_s, self._sighted_s), np.fmin(stamp_s, self._stamp_s)
             if self._planning.late and not self._told_late:
                 self._told_late = True
-                self._journal.event("notice", f"planning took longer than {LATE_S:g} s; the present ride goes on")
+                self._journal.event("notice", f"planning took longer than {LATE_S:g} s; the present trajectory goes on")
             return
-        chase.ride = replan.ride
-        chase.look_at(now_s, known.position_enu_m, known.velocity_m_s)
+        formation_motion.trajectory = replan.trajectory
+        formation_motion.look_at(now_s, known.position_enu_m, known.velocity_m_s)
         planned_s = self._time()
         self._measure()
         if np.isfinite(sighted_s) and replan.taken:
@@ -287,13 +298,13 @@ class Pursuit:
         if self._streamer.due_s - sighted_s > self._streamer.period_s:  # it had to let a round pass already
             self._streamer.send_now()
         self._planning_s.append(self._stopwatch() - began_s)
-        self._write(replan, known, (now_s, sighted_s, planned_s), tracker.error_m(now_s))
+        self._write(replan, known, (now_s, sighted_s, planned_s), core.error_m(now_s))
         self._tell(replan.mode, known)
-        if not was_caught and tracker.caught_s is not None:
+        if not was_caught and core.caught_s is not None:
             self._journal.event("track", f"caught after {now_s - self._began_s:.1f} s")
 
     def _measure(self) -> None:
-        """Find out when the first setpoint after the last ride left, once it has."""
+        """Find out when the first setpoint after the last trajectory left, once it has."""
         stamp_s, planned_s = self._told_s
         left_s = self._streamer.left_after(planned_s)
         if left_s is not None:
@@ -303,11 +314,11 @@ class Pursuit:
         """Write a replan down: when it began, when the sighting came that it is for, and when it was done."""
         recorder = self._journal.recorder
         began_s, sighted_s, done_s = map(recorder.since_start_s, times_s)
-        what = list(Mode).index(replan.mode), replan.taken
+        what = list(FollowMode).index(replan.mode), replan.taken
         estimate = *known.position_enu_m.tolist(), *known.velocity_m_s.tolist(), known.age_s, known.radius_m
         recorder.replans.append((began_s, sighted_s, done_s, *what, *estimate, error_m))
 
-    def _tell(self, mode: Mode, known: GroupEstimate) -> None:
+    def _tell(self, mode: FollowMode, known: GroupEstimate) -> None:
         """Tell people of targets that are lost or found, and of every mode the first time."""
         if mode not in self._modes:
             self._modes.add(mode)
@@ -319,10 +330,10 @@ class Pursuit:
         self._lost = known.lost
 
     def _is_outrun(self, now_s: float) -> bool:
-        known = None if self._tracker is None else self._tracker.known(now_s)
-        if self._tracker is None or known is None:
+        known = None if self._core is None else self._core.known(now_s)
+        if self._core is None or known is None:
             return False
-        return self._tracker.replanner.chases(Goal(known.prediction, 1.0))
+        return self._core.replanner.chases(Goal(known.prediction, 1.0))
 
     def _write_truth(self, until_s: float) -> None:
         """Write down where the targets truly were, as far as anybody knows."""
@@ -350,22 +361,22 @@ def warm_up(mission: Mission) -> None:
     """
     task = mission.task()
     swarm = Swarm(task.formation, task.formation.slots_m, task.hold_depth_m, task.rules)
-    tracker = Tracker(swarm, _tracking(mission), task.start, 0.0)
+    core = FollowingCore(swarm, _tracking(mission), task.start, 0.0)
     for stamp_s in (0.0, 0.1, 0.2, 0.3):
         for target in mission.targets or ():
             sighting = Sighting(target.name, stamp_s, target.first_enu_m(), isotropic(0.5), stamp_s)
-            tracker.sighted(sighting, stamp_s)
+            core.sighted(sighting, stamp_s)
     for now_s in (0.4, 0.5, 99.0):  # 99: all targets are lost by then
-        tracker.replan(now_s)
-    chase = Chase(
-        range(len(swarm.slots_m)), swarm.slots_m, tracker.ride, np.zeros(3), np.zeros(len(swarm.slots_m)), 0.0
+        core.replan(now_s)
+    formation_motion = FormationMotion(
+        range(len(swarm.slots_m)), swarm.slots_m, core.trajectory, np.zeros(3), np.zeros(len(swarm.slots_m)), 0.0
     )
-    chase.at(1.0)
-    tracker.replanner.stop(99.0)
+    formation_motion.at(1.0)
+    core.replanner.stop(99.0)
 
 
-def _tracking(mission: Mission) -> Tracking:
+def _tracking(mission: Mission) -> TrackingSettings:
     track = mission.track
     weights = {target.name: target.weight for target in mission.targets or ()}
     settings = Settings(model=track.model, lost_after_s=track.lost_after_s)
-    return Tracking(weights, settings, track.capture_m, track.confidence, track.most_radius_m)
+    return TrackingSettings(weights, settings, track.capture_m, track.confidence, track.most_radius_m)

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple, Self
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
-from fg_gcs.wire.autopilots import manners_of
+from fg_gcs.wire.autopilots import profile_of
 from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, Sender, is_known
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
@@ -216,10 +216,10 @@ class Router:
         if vehicle is None:
             if system_id in (0, GCS_SYSTEM) or message.get_type() != "HEARTBEAT":
                 return
-            manners = manners_of(message)
-            if manners is None:
+            profile = profile_of(message)
+            if profile is None:
                 return
-            vehicle = self.vehicles[system_id] = Vehicle(system_id, manners, now_s)
+            vehicle = self.vehicles[system_id] = Vehicle(system_id, profile, now_s)
             self._routes[system_id] = peer
         elif self._routes[system_id] is not peer and not self._moved(vehicle, peer, message, now_s):
             return

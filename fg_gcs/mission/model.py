@@ -11,7 +11,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.core.separation import Fence
-from fg_gcs.mission.tables import Deviation, Finite, Ground, NotNegative, Point, Positive, SystemId, Table
+from fg_gcs.mission.tables import Deviation, Finite, Ground, MissionTable, NotNegative, Point, Positive, SystemId
 from fg_gcs.mission.target_tables import MovingTarget, TrackTable
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.plan.formulations import FormulationName
@@ -21,7 +21,7 @@ from fg_gcs.plan.targets import Charges, Target, centre_of_charge, effective_rad
 DEFAULT_ORIGIN = Geodetic(47.397742, 8.545594, 488.0)  # where PX4's own simulators start, near Zurich
 
 
-class SwarmTable(Table):
+class SwarmTable(MissionTable):
     """Who flies."""
 
     vehicles: int = Field(ge=3, le=250, description="a whole number from 3 to 250")
@@ -34,7 +34,7 @@ class SwarmTable(Table):
         return tuple(sorted(self.system_ids)) if self.system_ids else tuple(range(1, self.vehicles + 1))
 
 
-class FormationTable(Table):
+class FormationTable(MissionTable):
     """The swarm's shape and where it gathers."""
 
     shape: Literal["hemisphere", "custom"] = Field(description='"hemisphere" or "custom"')
@@ -80,7 +80,7 @@ class FormationTable(Table):
         return Formation(rim, np.array(self.followers_xyz_m or [], dtype=float).reshape(-1, 3))
 
 
-class TargetTable(Table):
+class TargetTable(MissionTable):
     """What is surrounded: one point or several, and how far they reach."""
 
     position_enu_m: Point | None = Field(
@@ -136,7 +136,7 @@ class TargetTable(Table):
         return Target(charges, effective_radius_m(charges))
 
 
-class HoldTable(Table):
+class HoldTable(MissionTable):
     """The stay around the target."""
 
     duration_s: NotNegative = Field(default=5.0, description="a number, 0 or more (default 5)")
@@ -145,7 +145,7 @@ class HoldTable(Table):
     )
 
 
-class PlanTable(Table):
+class PlanTable(MissionTable):
     """How paths are searched for."""
 
     formulation: FormulationName = Field(
@@ -153,7 +153,7 @@ class PlanTable(Table):
     )
 
 
-class LimitsTable(Table):
+class LimitsTable(MissionTable):
     """What no vehicle exceeds; the vehicles' own limits count as well."""
 
     speed_m_s: Positive = Field(description="norm of the speed, a number above 0")
@@ -164,7 +164,7 @@ class LimitsTable(Table):
     separation_m: Positive = Field(description="no two vehicles come closer: a number above 0")
 
 
-class FenceTable(Table):
+class FenceTable(MissionTable):
     """The box that no vehicle leaves while it follows a plan."""
 
     low_enu_m: Point = Field(description="[west, south, floor] corner in metres")
@@ -175,13 +175,13 @@ class FenceTable(Table):
         return Fence(self.low_enu_m, self.high_enu_m)
 
 
-class TakeoffTable(Table):
+class TakeoffTable(MissionTable):
     """From the pad to the first plan."""
 
     height_m: Positive = Field(default=4.0, description="a number above 0 and not below the floor (default 4)")
 
 
-class PadsTable(Table):
+class PadsTable(MissionTable):
     """Where simulated vehicles stand; real ones stand where they are."""
 
     first_enu_m: Ground = Field(
@@ -192,7 +192,7 @@ class PadsTable(Table):
     )
 
 
-class OriginTable(Table):
+class OriginTable(MissionTable):
     """Where on Earth the mission's (0, 0, 0) is."""
 
     latitude_deg: float = Field(ge=-89, le=89, description="degrees from -89 to 89")
@@ -200,13 +200,13 @@ class OriginTable(Table):
     altitude_m: Finite = Field(description="metres above sea level")
 
 
-class StreamTable(Table):
+class StreamTable(MissionTable):
     """How setpoints are sent."""
 
     rate_hz: Finite = Field(default=50.0, ge=20, le=200, description="a number from 20 to 200 (default 50)")
 
 
-class SimulatorTable(Table):
+class SimulatorTable(MissionTable):
     """The built-in simulator; it has no effect with --connect."""
 
     autopilot: Literal["px4", "ardupilot"] = Field(default="px4", description='"px4" or "ardupilot" (default "px4")')
@@ -214,7 +214,7 @@ class SimulatorTable(Table):
     wind_m_s: NotNegative = Field(default=0.0, description="mean wind speed, 0 or more (default 0)")
 
 
-class Mission(Table):
+class Mission(MissionTable):
     """A whole mission file."""
 
     description: str = Field(default="", description="a line of text for people")

@@ -18,7 +18,7 @@ class Problem(NamedTuple):
     text: str
 
 
-class Table(BaseModel):
+class MissionTable(BaseModel):
     """A table of the file: strict types, no unknown keys, read-only."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)

@@ -15,6 +15,7 @@ from fg_gcs.mission.tables import (
     FilePath,
     Finite,
     Length,
+    MissionTable,
     NotNegative,
     Point,
     Positive,
@@ -22,7 +23,6 @@ from fg_gcs.mission.tables import (
     Seed,
     Share,
     SystemId,
-    Table,
 )
 from fg_gcs.scenario import motions, random_walk, recorded, waypoints
 from fg_gcs.scenario.motions import TrueMotion
@@ -34,7 +34,7 @@ Udp = Annotated[str, Field(pattern=r"^udpin:(?:[^:\s]+:)?\d{1,5}$")]
 MAX_BYTES = 20_000_000  # of a file of positions: 10 Hz for half a day
 
 
-class StaticMotion(Table):
+class StaticMotion(MissionTable):
     """It stays."""
 
     kind: Literal["static"] = Field(description='"static"')
@@ -45,7 +45,7 @@ class StaticMotion(Table):
         return motions.Static(self.position_enu_m)
 
 
-class WaypointsMotion(Table):
+class WaypointsMotion(MissionTable):
     """From point to point."""
 
     kind: Literal["waypoints"] = Field(description='"waypoints"')
@@ -67,7 +67,7 @@ class WaypointsMotion(Table):
         return waypoints.Waypoints(self.points_enu_m, self.speed_m_s, self.acceleration_m_s2, self.closed)
 
 
-class CircleMotion(Table):
+class CircleMotion(MissionTable):
     """Round and round."""
 
     kind: Literal["circle"] = Field(description='"circle"')
@@ -84,7 +84,7 @@ class CircleMotion(Table):
         return motions.Circle(self.centre_enu_m, self.radius_m, self.speed_m_s, self.phase_deg, self.clockwise)
 
 
-class FigureEightMotion(Table):
+class FigureEightMotion(MissionTable):
     """A lying eight."""
 
     kind: Literal["figure_eight"] = Field(description='"figure_eight"')
@@ -100,7 +100,7 @@ class FigureEightMotion(Table):
         return motions.FigureEight(self.centre_enu_m, self.length_m, self.top_speed_m_s, self.heading_deg)
 
 
-class RandomWalkMotion(Table):
+class RandomWalkMotion(MissionTable):
     """Dodging at random inside a box."""
 
     kind: Literal["random_walk"] = Field(description='"random_walk"')
@@ -126,7 +126,7 @@ class RandomWalkMotion(Table):
         )
 
 
-class FileMotion(Table):
+class FileMotion(MissionTable):
     """As a file says."""
 
     kind: Literal["file"] = Field(description='"file"')
@@ -147,27 +147,27 @@ class FileMotion(Table):
 Motion = StaticMotion | WaypointsMotion | CircleMotion | FigureEightMotion | RandomWalkMotion | FileMotion
 
 
-class ScriptSource(Table):
+class ScriptSource(MissionTable):
     """The motion itself, seen through the sensor."""
 
     kind: Literal["script"] = Field(description='"script"')
 
 
-class CsvSource(Table):
+class CsvSource(MissionTable):
     """Sightings from a file, replayed from when tracking begins."""
 
     kind: Literal["csv"] = Field(description='"csv"')
     path: FilePath = Field(description="a CSV file, from the mission's folder, see missions/README.md")
 
 
-class UdpSource(Table):
+class UdpSource(MissionTable):
     """Sightings in datagrams."""
 
     kind: Literal["udp"] = Field(description='"udp"')
     endpoint: Udp = Field(description='"udpin:HOST:PORT", a port that no other source uses')
 
 
-class VehicleSource(Table):
+class VehicleSource(MissionTable):
     """A MAVLink vehicle that tells where it is."""
 
     kind: Literal["vehicle"] = Field(description='"vehicle"')
@@ -188,7 +188,7 @@ class VehicleSource(Table):
 Source = ScriptSource | CsvSource | UdpSource | VehicleSource
 
 
-class SensorTable(Table):
+class SensorTable(MissionTable):
     """How well a target is seen."""
 
     rate_hz: Annotated[float, Field(gt=0, le=100)] = Field(
@@ -223,7 +223,7 @@ class SensorTable(Table):
         )
 
 
-class MovingTarget(Table):
+class MovingTarget(MissionTable):
     """One target that may move."""
 
     name: str = Field(pattern=r"^[a-z0-9_]{1,32}$", description="1 to 32 of the characters a-z, 0-9 and _, once")
@@ -282,7 +282,7 @@ class MovingTarget(Table):
         return rows[0].position_enu_m
 
 
-class TrackTable(Table):
+class TrackTable(MissionTable):
     """How moving targets are tracked."""
 
     model: Literal["mixed", "velocity", "acceleration"] = Field(

@@ -33,7 +33,7 @@ class _Known(NamedTuple):
     key: str
 
 
-def moving_contradictions(mission: Mission) -> Iterator[Problem]:
+def target_problems_of(mission: Mission) -> Iterator[Problem]:
     """Yield what is wrong with a mission's moving targets, their sources and their sensors."""
     targets = mission.targets or []
     if mission.plan.formulation != "rigid":

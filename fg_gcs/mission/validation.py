@@ -11,10 +11,10 @@ from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.mission.model import Mission, TargetTable
 from fg_gcs.mission.tables import Point, Problem
-from fg_gcs.mission.target_validation import moving_contradictions
+from fg_gcs.mission.target_validation import target_problems_of
 
 
-def contradictions(mission: Mission) -> Iterator[Problem]:
+def problems_of(mission: Mission) -> Iterator[Problem]:
     """Yield what is wrong between keys that are each right by themselves."""
     ids = mission.swarm.ids()
     vehicles = mission.swarm.vehicles
@@ -78,7 +78,7 @@ def _aim_contradictions(mission: Mission) -> Iterator[Problem]:
             yield Problem("track", "", "says nothing without [[targets]]; accepted: both or none of them")
         yield from _target_contradictions(mission.target, mission.fence.box())
     else:
-        yield from moving_contradictions(mission)
+        yield from target_problems_of(mission)
 
 
 def _target_contradictions(table: TargetTable, fence: Fence) -> Iterator[Problem]:

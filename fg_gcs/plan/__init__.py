@@ -1,1 +1,1 @@
-"""Planning: flux-guided paths, their timing under limits, and plans that prove what they promise."""
+"""Planning: flux-guided paths, their timing under limits, and plans that verify what they promise."""

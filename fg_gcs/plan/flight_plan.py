@@ -92,7 +92,7 @@ class FlightPlan:
 
 
 def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:
-    """Plan and prove a whole flight.
+    """Plan and verify a whole flight.
 
     Args:
         task: formation, target and rules.

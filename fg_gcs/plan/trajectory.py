@@ -20,10 +20,10 @@ from fg_gcs.plan.timing.profile import Profile
 from fg_gcs.plan.timing.time_optimal import time_optimal
 
 BLEND_S = 0.05  # shortest window that accelerations are blended over: some setpoints, and 1 % of a short flight
-SURVEY_HZ = 200.0  # density of the proof, besides the instants where the jerk steps: in between all is smooth
+SURVEY_HZ = 200.0  # density of the verification, besides the instants where the jerk steps: in between all is smooth
 JERK_HZ = 1000.0  # where jerk is limited: it is taken from differences of accelerations
 SURVEY_PLACES = 4_000  # instants times vehicles looked at together: 0.3 MB of work space, which stays in the cache
-BETWEEN_SAMPLES = 2e-3  # how much a peak between two samples of the proof may exceed them both
+BETWEEN_SAMPLES = 2e-3  # how much a peak between two samples of the verification may exceed them both
 ROUNDING = 1e-6  # share by which a stretched trajectory may exceed a limit, no more
 STEP_S = 1e-4  # instants closer than this tell rounding, not jerk
 POWERS = {"speed_m_s": 1, "acceleration_m_s2": 2, "jerk_m_s3": 3, "climb_m_s": 1, "descent_m_s": 1}  # of stretched time
@@ -93,9 +93,9 @@ class Trajectory:
         acceleration; where the trajectory starts or ends at rest, it rests.
         """
         times = np.asarray(time_s, dtype=float)
-        s_m, rate, growth = self._profile.at(times)
+        s_m, rate, s_ddot = self._profile.at(times)
         position, first, second = self._path.at(s_m)
-        return Sample(*_motion(position, first, second, rate, growth, times, self.duration_s))
+        return Sample(*_motion(position, first, second, rate, s_ddot, times, self.duration_s))
 
     def slower(self, factor: float) -> Trajectory:
         """Return the same path flown ``factor`` times slower; the speeds at its ends fall by the factor too."""
@@ -111,17 +111,17 @@ class Trajectory:
             return self._known
         outline = self._path.outline
         time_s = self._profile.instants(self._survey_hz)
-        s_m, rate, growth = self._profile.at(time_s)
+        s_m, rate, s_ddot = self._profile.at(time_s)
         peaks = np.zeros(len(Peaks._fields))
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         rows = max(1, SURVEY_PLACES // outline.vehicles)
         for start in range(0, len(time_s) - 1, rows):
             block = slice(start, start + rows + 1)  # neighbours share an instant: jerk needs two
             points = outline.at(s_m[block])
-            look(*points, rate[block], growth[block], time_s[block], peaks, low, high)
+            extrema(*points, rate[block], s_ddot[block], time_s[block], peaks, low, high)
         passed_s = np.interp(self._path.knots_m, s_m, time_s)  # straight between two instants: to some micrometres
-        s_m, rate, growth = self._profile.at(passed_s)
-        look(*outline.at(s_m), rate, growth, passed_s, peaks, low, high)
+        s_m, rate, s_ddot = self._profile.at(passed_s)
+        extrema(*outline.at(s_m), rate, s_ddot, passed_s, peaks, low, high)
         return Survey(Peaks(*peaks.tolist()), low, high)
 
     def largest(self, of: Callable[[Sample, Array], Array]) -> Moment:
@@ -155,8 +155,8 @@ def timed(path: SwarmPath, limits: Limits, start_speed: float = 0.0, end_speed: 
 
     The time-optimal timing is averaged over a window, see :mod:`fg_gcs.plan.timing.profile`. What then exceeds a
     limit between two rests is mended by flying slower: stretching time by k divides speeds by k, accelerations by k
-    squared and jerks by k cubed. From or to a moving end the speeds there have to stay: the path is timed again under limits that are
-    lower by what was exceeded, until nothing is.
+    squared and jerks by k cubed. From or to a moving end the speeds there have to stay: the path is timed again under
+    limits that are lower by what was exceeded, until nothing is.
 
     Args:
         path: the swarm's path.
@@ -258,7 +258,7 @@ def place_text(position_m: Array) -> str:
 
 @kernel
 def _motion(
-    position: Array, first: Array, second: Array, rate: Array, growth: Array, time: Array, duration: float
+    position: Array, first: Array, second: Array, rate: Array, s_ddot: Array, time: Array, duration: float
 ) -> tuple[Array, Array, Array]:
     """Positions, velocities ``q' s'`` and accelerations ``q' s'' + q'' s'^2``, each (T, V, 3).
 
@@ -272,18 +272,18 @@ def _motion(
             for k in range(3):
                 velocity[i, v, k] = first[i, v, k] * rate[i]
                 if beyond == 0.0:
-                    acceleration[i, v, k] = first[i, v, k] * growth[i] + second[i, v, k] * square
+                    acceleration[i, v, k] = first[i, v, k] * s_ddot[i] + second[i, v, k] * square
                 moved[i, v, k] = position[i, v, k] + beyond * velocity[i, v, k]
     return moved, velocity, acceleration
 
 
 @kernel
-def look(
+def extrema(
     position: Array,
     first: Array,
     second: Array,
     rate: Array,
-    growth: Array,
+    s_ddot: Array,
     time: Array,
     peaks: Array,
     low: Array,
@@ -296,7 +296,7 @@ def look(
         first: their derivatives by the path's parameter, shape (T, V, 3).
         second: their second derivatives, shape (T, V, 3).
         rate: derivative of the parameter by time, shape (T,).
-        growth: its second derivative, shape (T,).
+        s_ddot: its second derivative, shape (T,).
         time: ascending, shape (T,) [s].
         peaks: the fields of :class:`Peaks`, shape (5,), raised in place.
         low: lower corner of the box, shape (3,), widened in place.
@@ -312,7 +312,7 @@ def look(
             v2, a2, j2 = 0.0, 0.0, 0.0
             for k in range(3):
                 velocity = first[i, v, k] * rate[i]
-                acceleration = first[i, v, k] * growth[i] + second[i, v, k] * square
+                acceleration = first[i, v, k] * s_ddot[i] + second[i, v, k] * square
                 v2 += velocity * velocity
                 a2 += acceleration * acceleration
                 j2 += (acceleration - before[v, k]) ** 2

@@ -1,4 +1,4 @@
-"""Between pads and formation: who goes where, on straight lines that provably keep apart.
+"""Between pads and formation: who goes where, on straight lines that verifiably keep apart.
 
 All vehicles fly straight lines in step, so a pair's relative position runs along a line too and its closest approach
 has a closed form. When starts and ends are assigned to each other by the least sum of squared distances, two vehicles

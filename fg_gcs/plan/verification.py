@@ -1,4 +1,4 @@
-"""Plans that carry the proof that limits, fence and separation hold."""
+"""Plans that carry the verification that limits, fence and separation hold."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ YAW_BLEND_M = 1.0  # a vehicle this close to the vertical through its target has
 
 @dataclass(frozen=True)
 class CheckedPlan:
-    """Trajectories one after the other, proven against the rules; made by :func:`check` alone.
+    """Trajectories one after the other, verified against the rules; made by :func:`check` alone.
 
     Row v of every sample belongs to vehicle v.
     """
@@ -59,7 +59,7 @@ def yaw_towards(gaze_enu_m: Array, position_m: Array, heading_enu: Array) -> Arr
 
 
 def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> CheckedPlan:
-    """Prove a sequence of trajectories against the rules.
+    """Verify a sequence of trajectories against the rules.
 
     Args:
         pieces: at least one trajectory; each starts where the one before ended.

@@ -1,7 +1,7 @@
 """What planning alone makes of sightings: the inner loop against made-up targets, with vehicles that follow perfectly.
 
 No clock, no network and no simulator: time is counted in ticks of the stream, planning takes none of it, and what is
-commanded is what is flown. The same arguments give the same rehearsal, but for how long the planning took.
+commanded is what is flown. The same arguments give the same kinematic simulation, but for how long the planning took.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from fg_gcs.core.separation import closest_approach
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.trajectory import Peaks
 from fg_gcs.scenario.motions import TrueMotion
-from fg_gcs.scenario.sensor import Look, Sensor
+from fg_gcs.scenario.sensor import Measurement, Sensor
 from fg_gcs.track.follow.formation_frames import Frames
-from fg_gcs.track.follow.replanner import Mode, Swarm
+from fg_gcs.track.follow.replanner import FollowMode, Swarm
+from fg_gcs.track.following_core import FollowingCore, TrackingSettings
 from fg_gcs.track.sightings import Verdict
-from fg_gcs.track.tracker import Tracker, Tracking
 
 Flags = NDArray[np.bool_]
 
 TICK_S = 0.02  # the stream's usual period
-QUIET_S = 0.25  # without a sighting for so long the ride is planned anew all the same, as in flight
+QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same, as in flight
 SETTLED_S = 2.0  # after the capture, which is when the formation still moves in: errors count from here on
 HOLDING = 0.9  # a flux metric from here on counts as held
 
 
 class Replanned(NamedTuple):
-    """One look for a better ride."""
+    """One look for a better trajectory."""
 
     time_s: float
-    mode: Mode
+    mode: FollowMode
     taken: bool
     took_s: float  # by the stopwatch
 
 
 class Figures(NamedTuple):
-    """What a rehearsal amounts to; None where there was nothing to measure."""
+    """What a kinematic simulation amounts to; None where there was nothing to measure."""
 
     caught_s: float | None  # since the beginning
     error_rms_m: float | None  # of the formation's place around the true target, once settled
@@ -67,11 +67,11 @@ class Figures(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """A whole rehearsal over its T ticks."""
+class KinematicSimulation:
+    """A whole kinematic simulation over its T ticks."""
 
     swarm: Swarm
-    tracking: Tracking
+    tracking: TrackingSettings
     time_s: Array  # (T,) since tracking began
     position_m: Array  # (T, V, 3) commanded [m; ENU]
     velocity_m_s: Array  # (T, V, 3)
@@ -80,7 +80,7 @@ class Rehearsal:
     scale: Array  # (T,)
     targets_m: Array  # (T, C, 3) true, in the order of the weights [m; ENU]
     estimate_m: Array  # (T, 3) of all targets together as it was known then; NaN before they were seen [m; ENU]
-    mode: tuple[Mode, ...]  # T of them
+    mode: tuple[FollowMode, ...]  # T of them
     received_s: Array  # (S,) when sightings came, whatever became of them
     counts: Mapping[Verdict, int]  # of sightings
     replans: tuple[Replanned, ...]
@@ -176,15 +176,15 @@ class Rehearsal:
         }
 
 
-def rehearse(
+def simulate_kinematics(
     swarm: Swarm,
-    tracking: Tracking,
+    tracking: TrackingSettings,
     start: Pose,
     motions: Mapping[str, TrueMotion],
     sensors: Sequence[Sensor],
     seconds: float,
     stopwatch: Callable[[], float],
-) -> Rehearsal:
+) -> KinematicSimulation:
     """Track made-up targets from rest.
 
     Args:
@@ -196,7 +196,7 @@ def rehearse(
         seconds: how long, two ticks or more.
         stopwatch: returns seconds, for the durations of replanning alone.
     """
-    tracker = Tracker(swarm, tracking, start, 0.0)
+    core = FollowingCore(swarm, tracking, start, 0.0)
     time_s: Array = TICK_S * np.arange(float(round(seconds / TICK_S)))
     arrivals = _arrivals(motions, sensors)
     due = next(arrivals)
@@ -205,29 +205,29 @@ def rehearse(
     replans: list[Replanned] = []
     frames: list[Frames] = []
     estimate_m = np.full((len(time_s), 3), np.nan)
-    modes: list[Mode] = []
+    modes: list[FollowMode] = []
     for tick, now_s in enumerate(time_s.tolist()):
         plan_s = now_s if now_s - planned_s >= QUIET_S else None
         while due.received_s <= now_s:
             if due.sighting is not None:
-                tracker.sighted(due.sighting, due.received_s)
+                core.sighted(due.sighting, due.received_s)
                 received.append(due.received_s)
                 plan_s = due.received_s  # once for all that came since the last tick
             due = next(arrivals)
         if plan_s is not None:
             began = stopwatch()
-            replan = tracker.replan(plan_s)
+            replan = core.replan(plan_s)
             if replan is not None:
                 replans.append(Replanned(plan_s, replan.mode, replan.taken, stopwatch() - began))
             planned_s = plan_s
-        known = tracker.known(now_s)
+        known = core.known(now_s)
         if known is not None:
             estimate_m[tick] = known.position_enu_m
-        frames.append(tracker.ride.frames(np.array([now_s])))
-        modes.append(tracker.replanner.mode)
+        frames.append(core.trajectory.frames(np.array([now_s])))
+        modes.append(core.replanner.mode)
     flown = Frames(*(np.concatenate(parts) for parts in zip(*frames, strict=True)))
     position, velocity, acceleration = flown.swarm(swarm.slots_m)
-    return Rehearsal(
+    return KinematicSimulation(
         swarm=swarm,
         tracking=tracking,
         time_s=time_s,
@@ -240,9 +240,9 @@ def rehearse(
         estimate_m=estimate_m,
         mode=tuple(modes),
         received_s=np.array(received),
-        counts=Counter(tracker.counts),
+        counts=Counter(core.counts),
         replans=tuple(replans),
-        caught_s=tracker.caught_s,
+        caught_s=core.caught_s,
     )
 
 
@@ -260,7 +260,7 @@ def _broken(rules: Rules, peaks: Peaks, separation_m: float, outside_m: float) -
     return tuple(name for name, holds in kept.items() if not holds)
 
 
-def _arrivals(motions: Mapping[str, TrueMotion], sensors: Sequence[Sensor]) -> Iterator[Look]:
+def _arrivals(motions: Mapping[str, TrueMotion], sensors: Sequence[Sensor]) -> Iterator[Measurement]:
     """All looks of all sensors for ever, in the order of arrival."""
-    each = (sensor.looks(motions[sensor.target]) for sensor in sensors)
+    each = (sensor.measurements(motions[sensor.target]) for sensor in sensors)
     return heapq.merge(*each, key=lambda look: look.received_s)

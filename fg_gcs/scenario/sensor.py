@@ -44,7 +44,7 @@ class SensorSettings:
             raise ValueError("drop and outliers are shares, 0 to 1")
 
 
-class Look(NamedTuple):
+class Measurement(NamedTuple):
     """What came of one look."""
 
     received_s: float  # when the sighting arrives, or would have arrived
@@ -67,7 +67,7 @@ class Sensor:
         self._covariance_m2 = isotropic(settings.sigma_m)
         self._looks = np.random.default_rng(self._seed)
 
-    def look(self, time_s: float, position_enu_m: Array) -> Sighting | None:
+    def measure(self, time_s: float, position_enu_m: Array) -> Sighting | None:
         """Return what the next look gives, None if nothing comes of it.
 
         Args:
@@ -76,7 +76,7 @@ class Sensor:
         """
         return self._seen(self._looks, time_s, position_enu_m)
 
-    def looks(self, motion: TrueMotion) -> Iterator[Look]:
+    def measurements(self, motion: TrueMotion) -> Iterator[Measurement]:
         """Yield all looks at a motion for ever, in the order of arrival; every call begins anew.
 
         They are taken at ``k / rate_hz``, give or take the jitter, and never before time 0. Those that fail are among
@@ -89,7 +89,7 @@ class Sensor:
             # Later looks cannot come before this one at its earliest
             while waiting and waiting[0][0] <= nominal_s - settings.jitter_s:
                 time_s, _, sighting = heapq.heappop(waiting)
-                yield Look(time_s + settings.delay_s, sighting)
+                yield Measurement(time_s + settings.delay_s, sighting)
             time_s = max(nominal_s + settings.jitter_s * random.uniform(-1.0, 1.0), 0.0)
             heapq.heappush(waiting, (time_s, k, self._seen(random, time_s, motion.at(np.array([time_s]))[0][0])))
 

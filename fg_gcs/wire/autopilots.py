@@ -70,7 +70,7 @@ class Stream:
 
 
 @dataclass(frozen=True, slots=True)
-class Manners:
+class AutopilotProfile:
     """How one autopilot wants to be talked to.
 
     Attributes:
@@ -119,11 +119,11 @@ class Manners:
         return tuple(Stream(_message_id(name), name, rate_hz, name in _NEEDED) for name, rate_hz in rates.items())
 
 
-def manners_of(heartbeat: Message) -> Manners | None:
-    """Return the manners of the autopilot that sent this HEARTBEAT; None for anything but a known autopilot."""
+def profile_of(heartbeat: Message) -> AutopilotProfile | None:
+    """Return the profile of the autopilot that sent this HEARTBEAT; None for anything but a known autopilot."""
     if heartbeat.type == dialect.MAV_TYPE_GCS:
         return None
-    return next((manners for manners in (PX4, ARDUPILOT) if manners.autopilot == heartbeat.autopilot), None)
+    return next((profile for profile in (PX4, ARDUPILOT) if profile.autopilot == heartbeat.autopilot), None)
 
 
 def _message_id(name: str) -> int:
@@ -178,7 +178,7 @@ _ARDUPILOT_MODES: Final = {
     "AUTO_RTL": 27,
 }
 
-PX4: Final = Manners(
+PX4: Final = AutopilotProfile(
     name="PX4",
     autopilot=dialect.MAV_AUTOPILOT_PX4,
     modes=MappingProxyType(_PX4_MODES),
@@ -212,7 +212,7 @@ PX4: Final = Manners(
     ),
 )
 
-ARDUPILOT: Final = Manners(
+ARDUPILOT: Final = AutopilotProfile(
     name="ArduPilot",
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes=MappingProxyType(_ARDUPILOT_MODES),

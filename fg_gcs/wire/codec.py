@@ -125,7 +125,7 @@ class Codec:
         except (dialect.MAVError, ValueError, TypeError):  # checksum, or a field that the message class refuses
             return None
         if not is_known(message):
-            # Without the dialect's extra byte its checksum proves nothing: it counts if a frame, or nothing, follows.
+            # Without the dialect's extra byte its checksum verifies nothing: it counts if a frame, or nothing, follows.
             if end < len(self._buffer) and self._buffer[end] not in _HEADER_BYTES:
                 return None
             self.unknown_messages += 1

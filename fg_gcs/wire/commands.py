@@ -171,21 +171,21 @@ def land() -> Request:
     """Land here; done when the vehicle is in its land mode or no longer armed: landing itself takes its time."""
 
     def build(vehicle: Vehicle) -> Message:
-        if vehicle.manners.lands_by_command:
+        if vehicle.profile.lands_by_command:
             return _command(vehicle, dialect.MAV_CMD_NAV_LAND)
-        return _mode_command(vehicle, vehicle.manners.land_mode)
+        return _mode_command(vehicle, vehicle.profile.land_mode)
 
     def refused(vehicle: Vehicle, since_s: float) -> str | None:
-        by_command = vehicle.manners.lands_by_command
+        by_command = vehicle.profile.lands_by_command
         command = dialect.MAV_CMD_NAV_LAND if by_command else dialect.MAV_CMD_DO_SET_MODE
         return _refusal_of(command)(vehicle, since_s)
 
     return Request(
         "land",
         build=build,
-        satisfied=lambda vehicle, since_s: vehicle.mode == vehicle.manners.land_mode or not vehicle.armed,
+        satisfied=lambda vehicle, since_s: vehicle.mode == vehicle.profile.land_mode or not vehicle.armed,
         refused=refused,
-        new_mode=lambda vehicle: vehicle.manners.land_mode,
+        new_mode=lambda vehicle: vehicle.profile.land_mode,
     )
 
 
@@ -207,8 +207,8 @@ def take_off(height_m: float, climb_m_s: float = 1.0) -> Request:
     refusal = _refusal_of(dialect.MAV_CMD_NAV_TAKEOFF)
 
     def build(vehicle: Vehicle) -> Message:
-        if vehicle.manners.take_off is not TakeOff.BY_COMMAND:
-            raise VehicleError(f"vehicle {vehicle.system_id}: {vehicle.manners.name} takes off by setpoints")
+        if vehicle.profile.take_off is not TakeOff.BY_COMMAND:
+            raise VehicleError(f"vehicle {vehicle.system_id}: {vehicle.profile.name} takes off by setpoints")
         return _command(vehicle, dialect.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
 
     def satisfied(vehicle: Vehicle, since_s: float) -> bool:
@@ -283,7 +283,7 @@ def write_parameter(name: str, value: float) -> Request:
         param_type = vehicle.param_types.get(name)
         if param_type is None:
             return _read(vehicle, name)
-        carried = params.encode(name, value, param_type, vehicle.manners.encoding)
+        carried = params.encode(name, value, param_type, vehicle.profile.encoding)
         message: Message = dialect.MAVLink_param_set_message(
             vehicle.system_id, _AUTOPILOT, name.encode(), carried, param_type
         )

@@ -19,7 +19,7 @@ class Phase(Enum):
     LOST = "not heard from"
 
 
-class Event(Enum):
+class PhaseEvent(Enum):
     """What a vehicle's telemetry, or its silence, says."""
 
     HEARD = "its heartbeat came"
@@ -33,34 +33,37 @@ class Event(Enum):
     TAKEN_OVER = "it is in a mode that we did not command"
 
 
-TRANSITIONS: Final[Mapping[tuple[Phase, Event], Phase]] = MappingProxyType(
+TRANSITIONS: Final[Mapping[tuple[Phase, PhaseEvent], Phase]] = MappingProxyType(
     {
-        (Phase.DISCOVERED, Event.CHECKS_PASSED): Phase.READY,
-        (Phase.DISCOVERED, Event.ARMED): Phase.ARMED,
-        (Phase.DISCOVERED, Event.SILENT): Phase.LOST,
-        (Phase.READY, Event.CHECKS_FAILED): Phase.DISCOVERED,
-        (Phase.READY, Event.ARMED): Phase.ARMED,
-        (Phase.READY, Event.SILENT): Phase.LOST,
-        (Phase.ARMED, Event.DISARMED): Phase.DISCOVERED,  # idle too long: both autopilots disarm after 10 s
-        (Phase.ARMED, Event.AIRBORNE): Phase.FLYING,
-        (Phase.ARMED, Event.TAKEN_OVER): Phase.TAKEN,
-        (Phase.ARMED, Event.SILENT): Phase.LOST,
-        (Phase.FLYING, Event.LANDING_BEGAN): Phase.LANDING,
-        (Phase.FLYING, Event.DISARMED): Phase.LANDED,  # landed by setpoints, or worse
-        (Phase.FLYING, Event.TAKEN_OVER): Phase.TAKEN,
-        (Phase.FLYING, Event.SILENT): Phase.LOST,
-        (Phase.LANDING, Event.DISARMED): Phase.LANDED,
-        (Phase.LANDING, Event.TAKEN_OVER): Phase.TAKEN,
-        (Phase.LANDING, Event.SILENT): Phase.LOST,
-        (Phase.LANDED, Event.ARMED): Phase.ARMED,  # the next flight
-        (Phase.LANDED, Event.SILENT): Phase.LOST,
-        (Phase.TAKEN, Event.DISARMED): Phase.LANDED,  # sticky: a mode that comes back by itself is not given back to us
-        (Phase.TAKEN, Event.SILENT): Phase.LOST,
-        (Phase.LOST, Event.HEARD): Phase.DISCOVERED,  # the telemetry that follows tells the rest
+        (Phase.DISCOVERED, PhaseEvent.CHECKS_PASSED): Phase.READY,
+        (Phase.DISCOVERED, PhaseEvent.ARMED): Phase.ARMED,
+        (Phase.DISCOVERED, PhaseEvent.SILENT): Phase.LOST,
+        (Phase.READY, PhaseEvent.CHECKS_FAILED): Phase.DISCOVERED,
+        (Phase.READY, PhaseEvent.ARMED): Phase.ARMED,
+        (Phase.READY, PhaseEvent.SILENT): Phase.LOST,
+        (Phase.ARMED, PhaseEvent.DISARMED): Phase.DISCOVERED,  # idle too long: both autopilots disarm after 10 s
+        (Phase.ARMED, PhaseEvent.AIRBORNE): Phase.FLYING,
+        (Phase.ARMED, PhaseEvent.TAKEN_OVER): Phase.TAKEN,
+        (Phase.ARMED, PhaseEvent.SILENT): Phase.LOST,
+        (Phase.FLYING, PhaseEvent.LANDING_BEGAN): Phase.LANDING,
+        (Phase.FLYING, PhaseEvent.DISARMED): Phase.LANDED,  # landed by setpoints, or worse
+        (Phase.FLYING, PhaseEvent.TAKEN_OVER): Phase.TAKEN,
+        (Phase.FLYING, PhaseEvent.SILENT): Phase.LOST,
+        (Phase.LANDING, PhaseEvent.DISARMED): Phase.LANDED,
+        (Phase.LANDING, PhaseEvent.TAKEN_OVER): Phase.TAKEN,
+        (Phase.LANDING, PhaseEvent.SILENT): Phase.LOST,
+        (Phase.LANDED, PhaseEvent.ARMED): Phase.ARMED,  # the next flight
+        (Phase.LANDED, PhaseEvent.SILENT): Phase.LOST,
+        (
+            Phase.TAKEN,
+            PhaseEvent.DISARMED,
+        ): Phase.LANDED,  # sticky: a mode that comes back by itself is not given back to us
+        (Phase.TAKEN, PhaseEvent.SILENT): Phase.LOST,
+        (Phase.LOST, PhaseEvent.HEARD): Phase.DISCOVERED,  # the telemetry that follows tells the rest
     }
 )
 
 
-def following(phase: Phase, event: Event) -> Phase:
+def following(phase: Phase, event: PhaseEvent) -> Phase:
     """Return the phase after ``event``."""
     return TRANSITIONS.get((phase, event), phase)

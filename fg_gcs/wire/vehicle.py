@@ -9,9 +9,9 @@ from typing import ClassVar, Final, NamedTuple
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire import params
-from fg_gcs.wire.autopilots import Manners, manners_of
+from fg_gcs.wire.autopilots import AutopilotProfile, profile_of
 from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Message
-from fg_gcs.wire.phases import Event, Phase, following
+from fg_gcs.wire.phases import Phase, PhaseEvent, following
 from fg_gcs.wire.texts import Text, TextAssembler
 
 LOST_AFTER_S: Final = 3.0  # three heartbeats at 1 Hz: one lost datagram is no lost vehicle
@@ -82,7 +82,7 @@ class PhaseChange(NamedTuple):
 
     at_s: float
     before: Phase
-    event: Event
+    event: PhaseEvent
     after: Phase
 
 
@@ -91,7 +91,7 @@ class Vehicle:
 
     Args:
         system_id: MAVLink system id.
-        manners: How its autopilot wants to be talked to.
+        profile: How its autopilot wants to be talked to.
         now_s: Loop time of the first heartbeat [s].
 
     Attributes:
@@ -125,9 +125,9 @@ class Vehicle:
         heard_at_s: Loop time of the newest message [s].
     """
 
-    def __init__(self, system_id: int, manners: Manners, now_s: float) -> None:
+    def __init__(self, system_id: int, profile: AutopilotProfile, now_s: float) -> None:
         self.system_id = system_id
-        self.manners = manners
+        self.profile = profile
         self.phase = Phase.DISCOVERED
         self.changes: deque[PhaseChange] = deque(maxlen=QUEUE_LENGTH)
         self.texts: deque[Text] = deque(maxlen=QUEUE_LENGTH)
@@ -163,7 +163,7 @@ class Vehicle:
     @property
     def mode_name(self) -> str:
         """Readable name of the mode."""
-        return "unknown" if self.mode is None else self.manners.mode_name(self.mode)
+        return "unknown" if self.mode is None else self.profile.mode_name(self.mode)
 
     @property
     def airborne(self) -> bool:
@@ -187,7 +187,7 @@ class Vehicle:
         if message.get_srcComponent() != dialect.MAV_COMP_ID_AUTOPILOT1:
             return
         identity = message.get_msgId()
-        if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and manners_of(message) is not self.manners:
+        if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and profile_of(message) is not self.profile:
             return
         self.heard_at_s = now_s
         self.message_at_s[identity] = now_s
@@ -199,7 +199,7 @@ class Vehicle:
         """Notice silence, and give out texts whose rest never came: call it about once a second."""
         self._tell(self._assembler.flush_stale(now_s))
         if now_s - self.heard_at_s > LOST_AFTER_S:
-            self._apply(Event.SILENT, now_s)
+            self._apply(PhaseEvent.SILENT, now_s)
 
     def command_mode(self, mode: int) -> None:
         """Say that we command ``mode``: until it is seen, the mode before it is ours as well; then only it is."""
@@ -210,21 +210,21 @@ class Vehicle:
         for event in self._evidence():
             self._apply(event, now_s)
 
-    def _evidence(self) -> Iterator[Event]:
+    def _evidence(self) -> Iterator[PhaseEvent]:
         """Yield what the telemetry says now, in the order in which it must be believed."""
-        yield Event.ARMED if self.armed else Event.DISARMED
+        yield PhaseEvent.ARMED if self.armed else PhaseEvent.DISARMED
         if self.airborne:
-            yield Event.AIRBORNE
+            yield PhaseEvent.AIRBORNE
         # On the ground again after our landing it leaves its land mode by itself as it disarms: nobody took it
         down = self.phase is Phase.LANDING and not self.airborne
         if self._accepted_modes is not None and self.mode not in self._accepted_modes and not down:
-            yield Event.TAKEN_OVER
-        elif self.mode == self.manners.land_mode:
-            yield Event.LANDING_BEGAN
+            yield PhaseEvent.TAKEN_OVER
+        elif self.mode == self.profile.land_mode:
+            yield PhaseEvent.LANDING_BEGAN
         if not self.armed:
-            yield Event.CHECKS_PASSED if self.prearm_ok else Event.CHECKS_FAILED
+            yield PhaseEvent.CHECKS_PASSED if self.prearm_ok else PhaseEvent.CHECKS_FAILED
 
-    def _apply(self, event: Event, now_s: float) -> None:
+    def _apply(self, event: PhaseEvent, now_s: float) -> None:
         before, self.phase = self.phase, following(self.phase, event)
         if self.phase is not before:
             self.changes.append(PhaseChange(now_s, before, event, self.phase))
@@ -243,7 +243,7 @@ class Vehicle:
         self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         self.system_status = message.system_status
         self._set_mode(message.custom_mode)
-        self._apply(Event.HEARD, now_s)
+        self._apply(PhaseEvent.HEARD, now_s)
         self._judge(now_s)
 
     def _on_current_mode(self, message: Message, now_s: float) -> None:
@@ -297,7 +297,7 @@ class Vehicle:
         name = message.param_id
         if name not in self.params and len(self.params) >= MOST_PARAMETERS:
             return
-        self.params[name] = params.decode(message, self.manners.encoding)
+        self.params[name] = params.decode(message, self.profile.encoding)
         self.param_types[name] = message.param_type
         self.param_at_s[name] = now_s
 

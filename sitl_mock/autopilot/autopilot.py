@@ -2,7 +2,7 @@
 
 Messages go in by `commands.py` and `services.py`, which call the verbs of `Autopilot`; `failsafes.py` and `ground.py`
 watch what happens by itself; messages come out of `outbox`; `reference`, `limits` and `thrust` are what the physics is
-asked to do. What differs between PX4 and ArduPilot is in `manners.py`.
+asked to do. What differs between PX4 and ArduPilot is in `profiles.py`.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.autopilot.pilot import Body, Pilot
-from sitl_mock.autopilot.profiles import Behaviour, Event, Manners, Mode, Need
+from sitl_mock.autopilot.profiles import AutopilotProfile, Behaviour, FlightMode, ModeEvent, Need
 from sitl_mock.autopilot.setpoints import Understood, Verdict
 from sitl_mock.links import Link
-from sitl_mock.messages import Fields, Landed, Outgoing, Result, Severity, Status
+from sitl_mock.messages import CommandResult, Fields, Landed, Outgoing, Severity, StatusText
 from sitl_mock.physics.geodesy import World
 from sitl_mock.physics.reference import Limits, Reference, Thrust, Vec3
 
@@ -47,21 +47,21 @@ class Autopilot:
     """State machine of one vehicle.
 
     Args:
-        manners: PX4's or ArduPilot's table.
+        profile: PX4's or ArduPilot's table.
         setup: identity and place.
         world: the ground it flies over.
     """
 
-    def __init__(self, manners: Manners, setup: Setup, world: World) -> None:
-        self.manners = manners
+    def __init__(self, profile: AutopilotProfile, setup: Setup, world: World) -> None:
+        self.profile = profile
         self.world = world
         self.system_id = setup.system_id
-        self.boot = manners.boot if setup.real_boot else manners.quick_boot
-        self.parameters = Parameters(manners, setup.system_id)
-        self.pilot = Pilot(manners, self.parameters, setup.drift_rad)
-        self.modes = {mode.name: mode for mode in manners.modes}
-        self.mode = self.intended = self.modes[manners.first_mode]
-        self.links = [Link(manners.default_streams, self.boot.heartbeat_s) for _ in range(setup.links)]
+        self.boot = profile.boot if setup.real_boot else profile.quick_boot
+        self.parameters = Parameters(profile, setup.system_id)
+        self.pilot = Pilot(profile, self.parameters, setup.drift_rad)
+        self.modes = {mode.name: mode for mode in profile.modes}
+        self.mode = self.intended = self.modes[profile.first_mode]
+        self.links = [Link(profile.default_streams, self.boot.heartbeat_s) for _ in range(setup.links)]
         self.outbox: list[Outgoing] = []
         self.body = Body(0.0, setup.pad_ned_m, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, True)
         x, y, z = (p + e for p, e in zip(setup.pad_ned_m, setup.origin_error_ned_m, strict=True))
@@ -74,7 +74,7 @@ class Autopilot:
         self.airborne = False
         self.flown_s = 0.0  # armed time in all, for the battery
         self.landed = Landed.ON_GROUND
-        self.failsafe: Event | None = None
+        self.failsafe: ModeEvent | None = None
         self.failsafe_at_s = 0.0
         self.climbing = False  # a take-off inside the present mode (ArduPilot)
         self.setpoint_at_s = -math.inf
@@ -102,8 +102,8 @@ class Autopilot:
 
     def say(self, text: str, severity: Severity | None = None) -> None:
         """Send a STATUSTEXT on every link that hears texts, in chunks of 50 characters."""
-        data = (text + self.manners.text_suffix).encode("ascii", "replace")
-        level = self.manners.text_severity if severity is None else severity
+        data = (text + self.profile.text_suffix).encode("ascii", "replace")
+        level = self.profile.text_severity if severity is None else severity
         chunks = [data[i : i + TEXT_CHUNK] for i in range(0, len(data), TEXT_CHUNK)]
         number = 0
         if len(chunks) > 1:
@@ -124,24 +124,30 @@ class Autopilot:
     @property
     def stream_fresh(self) -> bool:
         """Whether a setpoint came recently enough for PX4's OFFBOARD."""
-        name = self.manners.stream_parameter
+        name = self.profile.stream_parameter
         return name is None or self.body.time_s - self.setpoint_at_s <= self.parameters[name] + DETECTION_S
 
     @property
-    def status(self) -> Status:
+    def status(self) -> StatusText:
         """HEARTBEAT.system_status."""
         if self.body.time_s < self.boot.standby_s:
-            return Status.UNINIT if self.manners.is_px4 else Status.BOOT
+            return StatusText.UNINIT if self.profile.is_px4 else StatusText.BOOT
         if self.failsafe is not None and self.armed:
-            return Status.CRITICAL
-        if self.manners.is_px4:  # PX4: armed is active, and standby says that arming would work
-            return Status.ACTIVE if self.armed else Status.STANDBY if self.arming_refusal() is None else Status.UNINIT
-        return Status.ACTIVE if self.landed is not Landed.ON_GROUND else Status.STANDBY
+            return StatusText.CRITICAL
+        if self.profile.is_px4:  # PX4: armed is active, and standby says that arming would work
+            return (
+                StatusText.ACTIVE
+                if self.armed
+                else StatusText.STANDBY
+                if self.arming_refusal() is None
+                else StatusText.UNINIT
+            )
+        return StatusText.ACTIVE if self.landed is not Landed.ON_GROUND else StatusText.STANDBY
 
     def arming_refusal(self) -> str | None:
         """Why arming in the present mode would be refused now; None: it would not."""
         mode = self.mode
-        if self.manners.is_px4:
+        if self.profile.is_px4:
             gcs_wanted = self.parameters["NAV_DLL_ACT"] > 0
             deaf = self.body.time_s - self.gcs_heard_at_s > self.parameters["COM_DL_LOSS_T"]
             lacking = mode.need in (Need.PILOT, Need.MISSION) or (mode.need is Need.STREAM and not self.stream_fresh)
@@ -160,70 +166,70 @@ class Autopilot:
 
     # -- verbs ----------------------------------------------------------------------------------------------------
 
-    def arm(self, force: bool) -> Result:
+    def arm(self, force: bool) -> CommandResult:
         """Arm, unless something speaks against it and `force` does not."""
         if self.armed:
-            return Result.ACCEPTED
+            return CommandResult.ACCEPTED
         refusal = None if force else self.arming_refusal()
         if refusal is not None:
             self.say(refusal)
-            return self.manners.refused_arming
+            return self.profile.refused_arming
         self.armed = True
         self.armed_at_s = self.body.time_s
         self.climb_since_s = self.landed_at_s = None
         self.failsafe = None
         self.pilot.enter(self.body)
         self.set_home(self.body.position_m)
-        if not self.manners.is_px4:
+        if not self.profile.is_px4:
             self.send("GPS_GLOBAL_ORIGIN")
             self.pilot.setpoint = None
-        self.say("Armed by external command" if self.manners.is_px4 else "Arming motors", Severity.INFO)
-        return Result.ACCEPTED
+        self.say("Armed by external command" if self.profile.is_px4 else "Arming motors", Severity.INFO)
+        return CommandResult.ACCEPTED
 
-    def disarm(self, reason: str, force: bool = False) -> Result:
-        """Disarm; in the air only by `force`, and then it falls. `reason` is a key of `Manners.disarm_texts`."""
+    def disarm(self, reason: str, force: bool = False) -> CommandResult:
+        """Disarm; in the air only by `force`, and then it falls. `reason` is a key of the profile's `disarm_texts`."""
         if not self.armed:
-            return Result.ACCEPTED
+            return CommandResult.ACCEPTED
         if self.airborne and not force:
-            if self.manners.is_px4:
+            if self.profile.is_px4:
                 self.say("Disarming denied: not landed")
-            return self.manners.refused_disarming
+            return self.profile.refused_disarming
         self.armed = self.airborne = self.climbing = False
         self.landed = Landed.ON_GROUND
-        self.say(self.manners.disarm_texts[reason], Severity.INFO)
+        self.say(self.profile.disarm_texts[reason], Severity.INFO)
         # Out of a failsafe the vehicle is back in the mode that was meant; else landing modes end.
-        meant = self.intended if self.failsafe is Event.STREAM_LOST else None
+        meant = self.intended if self.failsafe is ModeEvent.STREAM_LOST else None
         self.failsafe = None
-        self.change(meant or self.after(Event.DISARMED), keep_intention=meant is not None)
-        return Result.ACCEPTED
+        self.change(meant or self.after(ModeEvent.DISARMED), keep_intention=meant is not None)
+        return CommandResult.ACCEPTED
 
-    def set_mode(self, mode: Mode) -> Result:
+    def set_mode(self, mode: FlightMode) -> CommandResult:
         """Change the mode by command, unless it needs what is not there."""
         lacking = mode.need in (Need.PILOT, Need.MISSION) or (mode.need is Need.STREAM and not self.stream_fresh)
         if self.armed and lacking:
             if mode.title:
                 self.say(f"Switching to {mode.title} is currently not available")
-            return self.manners.refused_mode
-        if self.manners.is_px4:
+            return self.profile.refused_mode
+        if self.profile.is_px4:
             self.failsafe = None  # ArduPilot keeps its failsafe until its cause is gone
         self.change(mode, keep_intention=False)
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
-    def take_off(self, height_m: float) -> Result:
+    def take_off(self, height_m: float) -> CommandResult:
         """Climb to a height above the ground: by mode (PX4) or inside the present one (ArduPilot)."""
-        takeoff_mode = self.manners.takeoff_mode
+        takeoff_mode = self.profile.takeoff_mode
         if takeoff_mode is not None:
             self.pilot.takeoff_height_m = max(height_m, self.body.height_m)
             return self.set_mode(self.modes[takeoff_mode])
         able = self.mode.name in ("GUIDED", "LOITER") and self.armed and not self.airborne
         if not able or height_m <= self.body.height_m:
-            return Result.FAILED
+            return CommandResult.FAILED
         self.pilot.takeoff_height_m = height_m
         self.pilot.setpoint = None
         self.pilot.enter(self.body)
         self.climbing = True
         self.climb_since_s = None
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
     def obey(self, understood: Understood) -> None:
         """Take a setpoint in."""
@@ -232,11 +238,11 @@ class Autopilot:
         if understood.verdict is Verdict.INVALID:
             return
         self.setpoint_at_s = self.body.time_s
-        if self.manners.setpoints_lift_off:
+        if self.profile.setpoints_lift_off:
             if understood.reference is None and self.pilot.setpoint is not None:
                 self.pilot.enter(self.body)  # from here on it stays where it is
             self.pilot.setpoint = understood.reference
-        elif self.mode.name != self.manners.stream_mode:
+        elif self.mode.name != self.profile.stream_mode:
             return  # ArduPilot drops setpoints outside GUIDED
         elif self.airborne:
             self.climbing = False
@@ -256,12 +262,12 @@ class Autopilot:
 
     def set_origin(self, origin_ned_m: Vec3) -> bool:
         """Move the local frame. PX4 always can (in flight it jumps); ArduPilot only before it has one."""
-        if not self.manners.is_px4 and (self.origin_set or self.body.time_s < self.boot.standby_s):
+        if not self.profile.is_px4 and (self.origin_set or self.body.time_s < self.boot.standby_s):
             return False
         self.local_origin_ned_m = origin_ned_m
         self.origin_set = True
         self.send("GPS_GLOBAL_ORIGIN")
-        if not self.manners.is_px4:
+        if not self.profile.is_px4:
             self.send("HOME_POSITION")
         return True
 
@@ -293,11 +299,11 @@ class Autopilot:
             self.thrust = Thrust.FLY
             self.reference, self.limits = self.pilot.fly(self.behaviour, self.body)
 
-    def after(self, event: Event) -> Mode:
+    def after(self, event: ModeEvent) -> FlightMode:
         """The mode that follows an event in the present mode."""
-        return self.modes[self.manners.transitions.get((self.mode.name, event), self.mode.name)]
+        return self.modes[self.profile.transitions.get((self.mode.name, event), self.mode.name)]
 
-    def change(self, mode: Mode, keep_intention: bool) -> None:
+    def change(self, mode: FlightMode, keep_intention: bool) -> None:
         """Change the mode, with everything that follows; `keep_intention` when the vehicle does so by itself."""
         if not keep_intention:
             self.intended = mode
@@ -307,10 +313,10 @@ class Autopilot:
         self.climbing = False
         self.climb_since_s = None
         self.pilot.enter(self.body)
-        if not self.manners.setpoints_lift_off:
+        if not self.profile.setpoints_lift_off:
             self.pilot.setpoint = None
         if mode.behaviour is Behaviour.LAND and self.airborne:
             self.landed = Landed.LANDING
         elif self.airborne:
             self.landed = Landed.IN_AIR
-        self.send("CURRENT_MODE" if self.manners.is_px4 else "HEARTBEAT")
+        self.send("CURRENT_MODE" if self.profile.is_px4 else "HEARTBEAT")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from sitl_mock.autopilot.autopilot import Autopilot
-from sitl_mock.autopilot.profiles import Event
+from sitl_mock.autopilot.profiles import ModeEvent
 from sitl_mock.messages import Severity
 
 GCS_LOSS_EXTRA_S = 1.45  # PX4 acts 11.45 s after the last heartbeat with COM_DL_LOSS_T 10
@@ -32,15 +32,15 @@ class Failsafes:
     def _watch_stream(self) -> None:
         """PX4: OFFBOARD without setpoints is left by COM_OBL_RC_ACT; with setpoints again it is entered again."""
         vehicle = self._vehicle
-        table = vehicle.manners.failsafe_modes[Event.STREAM_LOST]
+        table = vehicle.profile.failsafe_modes[ModeEvent.STREAM_LOST]
         if not table:
             return
-        if vehicle.failsafe is Event.STREAM_LOST and vehicle.stream_fresh:
+        if vehicle.failsafe is ModeEvent.STREAM_LOST and vehicle.stream_fresh:
             vehicle.failsafe = None
             vehicle.change(vehicle.intended, keep_intention=True)
-        elif vehicle.mode.name == vehicle.manners.stream_mode and not vehicle.stream_fresh:
+        elif vehicle.mode.name == vehicle.profile.stream_mode and not vehicle.stream_fresh:
             # Unknown values act like the default, Position.
-            self._fail(Event.STREAM_LOST, table.get(int(vehicle.parameters["COM_OBL_RC_ACT"]), table[0]))
+            self._fail(ModeEvent.STREAM_LOST, table.get(int(vehicle.parameters["COM_OBL_RC_ACT"]), table[0]))
             vehicle.say("Failsafe activated")
 
     def _watch_gcs(self) -> None:
@@ -48,19 +48,19 @@ class Failsafes:
         vehicle = self._vehicle
         if not math.isfinite(vehicle.gcs_heard_at_s):
             return
-        px4 = vehicle.manners.is_px4
+        px4 = vehicle.profile.is_px4
         if px4:
             action = int(vehicle.parameters["NAV_DLL_ACT"])
             limit_s = vehicle.parameters["COM_DL_LOSS_T"] + GCS_LOSS_EXTRA_S
         else:
             action, limit_s = int(vehicle.parameters["FS_GCS_ENABLE"]), vehicle.parameters["FS_GCS_TIMEOUT"]
         lost = vehicle.body.time_s - vehicle.gcs_heard_at_s > limit_s
-        table = vehicle.manners.failsafe_modes[Event.GCS_LOST]
+        table = vehicle.profile.failsafe_modes[ModeEvent.GCS_LOST]
         if lost and not self._gcs_missed and action in table:
             self._gcs_missed = True
             vehicle.say("Failsafe activated" if px4 else "GCS Failsafe", Severity.WARNING)
             if vehicle.airborne or px4:
-                self._fail(Event.GCS_LOST, table[action])
+                self._fail(ModeEvent.GCS_LOST, table[action])
             else:
                 vehicle.disarm("failsafe")  # ArduPilot, armed on the ground
         elif not lost and self._gcs_missed:
@@ -73,17 +73,17 @@ class Failsafes:
     def _act_later(self, action: int) -> None:
         """PX4 holds for COM_FAIL_ACT_T before it returns or lands."""
         vehicle = self._vehicle
-        later = vehicle.manners.failsafe_modes[Event.FAILSAFE_DELAY_OVER].get(action)
-        if later is None or vehicle.failsafe is not Event.GCS_LOST:
+        later = vehicle.profile.failsafe_modes[ModeEvent.FAILSAFE_DELAY_OVER].get(action)
+        if later is None or vehicle.failsafe is not ModeEvent.GCS_LOST:
             return
         if vehicle.body.time_s - vehicle.failsafe_at_s >= vehicle.parameters["COM_FAIL_ACT_T"]:
             vehicle.change(vehicle.modes[later], keep_intention=True)
 
-    def _fail(self, event: Event, mode_name: str) -> None:
+    def _fail(self, event: ModeEvent, mode_name: str) -> None:
         vehicle = self._vehicle
         vehicle.failsafe, vehicle.failsafe_at_s = event, vehicle.body.time_s
         if mode_name:
             # PX4 remembers what was intended, ArduPilot does not.
-            vehicle.change(vehicle.modes[mode_name], keep_intention=vehicle.manners.is_px4)
+            vehicle.change(vehicle.modes[mode_name], keep_intention=vehicle.profile.is_px4)
         else:
             vehicle.disarm("failsafe", force=True)

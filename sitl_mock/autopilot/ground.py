@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sitl_mock.autopilot.autopilot import Autopilot
-from sitl_mock.autopilot.profiles import Behaviour, Event
+from sitl_mock.autopilot.profiles import Behaviour, ModeEvent
 from sitl_mock.messages import Landed, Severity
 from sitl_mock.physics.reference import ALL, Reference
 
@@ -52,19 +52,19 @@ class GroundWatch:
 
     def _lift(self) -> None:
         """Leave the ground some seconds after it was first wanted, as spooling and ramps make the real ones do."""
-        vehicle, manners = self._vehicle, self._vehicle.manners
+        vehicle, profile = self._vehicle, self._vehicle.profile
         takeoff = vehicle.behaviour is Behaviour.TAKEOFF
-        if not self._wants_up() or not (takeoff or manners.setpoints_lift_off):
+        if not self._wants_up() or not (takeoff or profile.setpoints_lift_off):
             vehicle.climb_since_s = None
             return
         if vehicle.climb_since_s is None:
-            vehicle.climb_since_s = max(vehicle.body.time_s, vehicle.armed_at_s + manners.spool_s)
+            vehicle.climb_since_s = max(vehicle.body.time_s, vehicle.armed_at_s + profile.spool_s)
         waited_s = vehicle.body.time_s - vehicle.climb_since_s
-        if takeoff and waited_s >= manners.takeoff_state_s and vehicle.landed is Landed.ON_GROUND:
+        if takeoff and waited_s >= profile.takeoff_state_s and vehicle.landed is Landed.ON_GROUND:
             vehicle.landed = Landed.TAKEOFF
-            if manners.is_px4:
+            if profile.is_px4:
                 vehicle.say("Takeoff detected", Severity.INFO)
-        if waited_s >= (manners.liftoff_s if takeoff else manners.liftoff_stream_s):
+        if waited_s >= (profile.liftoff_s if takeoff else profile.liftoff_stream_s):
             vehicle.airborne = True
             vehicle.landed = Landed.TAKEOFF if takeoff else Landed.IN_AIR
             self._contact_since_s = None
@@ -74,7 +74,7 @@ class GroundWatch:
         vehicle = self._vehicle
         vehicle.landed = Landed.IN_AIR
         if not vehicle.climbing:
-            vehicle.change(vehicle.after(Event.CLIMBED), keep_intention=False)
+            vehicle.change(vehicle.after(ModeEvent.CLIMBED), keep_intention=False)
             return
         vehicle.climbing = False
         north_m, east_m, _ = vehicle.reference.position_ned_m
@@ -84,7 +84,7 @@ class GroundWatch:
     def _touch_down(self) -> None:
         """On the ground long enough while not asked to climb: landed."""
         vehicle = self._vehicle
-        px4, now_s = vehicle.manners.is_px4, vehicle.body.time_s
+        px4, now_s = vehicle.profile.is_px4, vehicle.body.time_s
         if vehicle.mode.behaviour is Behaviour.RETURN and vehicle.pilot.descending:
             vehicle.landed = Landed.LANDING
         # PX4 does not take a position setpoint below the ground for a landing: it sits there armed.
@@ -94,7 +94,7 @@ class GroundWatch:
             return
         if self._contact_since_s is None:
             self._contact_since_s = now_s
-        if now_s - self._contact_since_s >= vehicle.manners.ground_detect_s:
+        if now_s - self._contact_since_s >= vehicle.profile.ground_detect_s:
             vehicle.airborne = False
             vehicle.landed = Landed.ON_GROUND
             vehicle.landed_at_s = now_s
@@ -104,7 +104,7 @@ class GroundWatch:
     def _disarm(self) -> None:
         """After a landing, or armed for too long without a take-off."""
         vehicle, value = self._vehicle, self._vehicle.parameters
-        px4, now_s, landed_at_s = vehicle.manners.is_px4, vehicle.body.time_s, vehicle.landed_at_s
+        px4, now_s, landed_at_s = vehicle.profile.is_px4, vehicle.body.time_s, vehicle.landed_at_s
         ending = px4 or vehicle.mode.behaviour in (Behaviour.LAND, Behaviour.RETURN)
         if landed_at_s is not None and ending:
             delay_s = value["COM_DISARM_LAND"] if px4 else LANDED_DISARM_S
@@ -114,6 +114,6 @@ class GroundWatch:
         idle_s = value["COM_DISARM_PRFLT" if px4 else "DISARM_DELAY"]
         since_s = vehicle.armed_at_s if landed_at_s is None else landed_at_s
         # A wish to climb that is being served is not idling.
-        idle = vehicle.climb_since_s is None and now_s - since_s >= idle_s + vehicle.manners.idle_extra_s
+        idle = vehicle.climb_since_s is None and now_s - since_s >= idle_s + vehicle.profile.idle_extra_s
         if idle_s > 0.0 and idle:
             vehicle.disarm("idle")

@@ -11,7 +11,7 @@ from importlib import resources
 from types import MappingProxyType
 from typing import Any
 
-from sitl_mock.autopilot.profiles import Manners
+from sitl_mock.autopilot.profiles import AutopilotProfile
 from sitl_mock.messages import Fields
 
 TYPE_IDS = MappingProxyType({"INT8": 2, "INT16": 4, "INT32": 6, "REAL32": 9})  # MAV_PARAM_TYPE
@@ -46,13 +46,13 @@ class Parameters:
     """All parameters of one vehicle, in the order of their names.
 
     Args:
-        manners: whose parameters, and how they are encoded.
+        profile: whose parameters, and how they are encoded.
         system_id: value of MAV_SYS_ID or MAV_SYSID.
     """
 
-    def __init__(self, manners: Manners, system_id: int) -> None:
-        self._bytewise = manners.parameters_bytewise
-        self._table = dict(sorted(_defaults(manners.name)))
+    def __init__(self, profile: AutopilotProfile, system_id: int) -> None:
+        self._bytewise = profile.parameters_bytewise
+        self._table = dict(sorted(_defaults(profile.name)))
         self._names = list(self._table)
         own = "MAV_SYS_ID" if "MAV_SYS_ID" in self._table else "MAV_SYSID"
         self._table[own].value = self._table[own].default = float(system_id)

@@ -7,7 +7,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from sitl_mock.autopilot.parameters import Parameters
-from sitl_mock.autopilot.profiles import Behaviour, Manners
+from sitl_mock.autopilot.profiles import AutopilotProfile, Behaviour
 from sitl_mock.physics.reference import ALL, NONE, Flags3, Limits, Reference, Vec3
 
 STANDSTILL_M_S = 0.3  # slower than this a braking vehicle takes the spot for its place to stay
@@ -49,14 +49,14 @@ class Pilot:
     """Flies one vehicle by its behaviour.
 
     Args:
-        manners: the autopilot's table.
+        profile: the autopilot's table.
         parameters: the vehicle's parameters, read whenever they matter.
         drift_rad: direction of travel of a vehicle that nobody steers.
     """
 
-    def __init__(self, manners: Manners, parameters: Parameters, drift_rad: float) -> None:
-        self._px4 = manners.is_px4
-        self._manners = manners
+    def __init__(self, profile: AutopilotProfile, parameters: Parameters, drift_rad: float) -> None:
+        self._px4 = profile.is_px4
+        self._manners = profile
         self._parameters = parameters
         self._drift_m_s = (
             PILOTLESS_DRIFT_M_S * math.cos(drift_rad),

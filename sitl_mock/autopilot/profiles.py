@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from types import MappingProxyType
 
-from sitl_mock.messages import Result, Severity
+from sitl_mock.messages import CommandResult, Severity
 
 
 class Behaviour(Enum):
@@ -36,7 +36,7 @@ class Need(Enum):
     STREAM = auto()
 
 
-class Event(Enum):
+class ModeEvent(Enum):
     """What can change a mode by itself, without a command."""
 
     CLIMBED = auto()  # the take-off height is reached
@@ -49,7 +49,7 @@ class Event(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class FlightMode:
     """One flight mode: its number on the wire and what it does."""
 
     name: str
@@ -72,16 +72,16 @@ class Boot:
 
 
 @dataclass(frozen=True, slots=True)
-class Manners:
+class AutopilotProfile:
     """How one autopilot behaves on the wire and in the air."""
 
     name: str
     is_px4: bool  # for what is another story, not another number
     autopilot: int  # MAV_AUTOPILOT
-    modes: tuple[Mode, ...]
+    modes: tuple[FlightMode, ...]
     first_mode: str
-    transitions: Mapping[tuple[str, Event], str]  # a mode and an event -> the next mode; absent: nothing happens
-    failsafe_modes: Mapping[Event, Mapping[int, str]]  # event -> value of its parameter -> mode ("" disarms)
+    transitions: Mapping[tuple[str, ModeEvent], str]  # a mode and an event -> the next mode; absent: nothing happens
+    failsafe_modes: Mapping[ModeEvent, Mapping[int, str]]  # event -> value of its parameter -> mode ("" disarms)
     stream_mode: str
     hold_mode: str
     land_mode: str
@@ -95,11 +95,11 @@ class Manners:
     text_suffix: str
     target_components: frozenset[int] | None  # commands for other components are not answered; None: any
     obeys_system_0: bool  # commands to target_system 0
-    refused_arming: Result
-    refused_disarming: Result
-    refused_mode: Result
-    unknown_interval: Result
-    unknown_request: Result
+    refused_arming: CommandResult
+    refused_disarming: CommandResult
+    refused_mode: CommandResult
+    unknown_interval: CommandResult
+    unknown_request: CommandResult
     fastest_interval_s: float
     interval_capped: bool  # faster wishes are granted at the fastest; else DENIED
     interval_step_s: float  # intervals are cut to whole multiples of this
@@ -127,23 +127,23 @@ _PX4_AUTO = 0x1D  # custom, auto, guided, stabilize
 _PX4_PILOT = 0x51  # custom, stabilize, manual
 
 _PX4_MODES = (
-    Mode("MANUAL", 0x00010000, Behaviour.SINK, _PX4_PILOT, Need.PILOT, title="Manual"),
-    Mode("ALTCTL", 0x00020000, Behaviour.SINK, _PX4_PILOT, Need.PILOT, title="Altitude"),
-    Mode("POSCTL", 0x00030000, Behaviour.SINK, _PX4_PILOT, Need.PILOT, title="Position"),
-    Mode("ACRO", 0x00050000, Behaviour.SINK, _PX4_PILOT, Need.PILOT, title="Acro"),
-    Mode("STABILIZED", 0x00070000, Behaviour.RISE, _PX4_PILOT, Need.PILOT, title="Stabilized"),
+    FlightMode("MANUAL", 0x00010000, Behaviour.SINK, _PX4_PILOT, Need.PILOT, title="Manual"),
+    FlightMode("ALTCTL", 0x00020000, Behaviour.SINK, _PX4_PILOT, Need.PILOT, title="Altitude"),
+    FlightMode("POSCTL", 0x00030000, Behaviour.SINK, _PX4_PILOT, Need.PILOT, title="Position"),
+    FlightMode("ACRO", 0x00050000, Behaviour.SINK, _PX4_PILOT, Need.PILOT, title="Acro"),
+    FlightMode("STABILIZED", 0x00070000, Behaviour.RISE, _PX4_PILOT, Need.PILOT, title="Stabilized"),
     # OFFBOARD shows stabilize (0x10) only while setpoints come; `Autopilot` adds that bit.
-    Mode("OFFBOARD", 0x00060000, Behaviour.FOLLOW, 0x01, Need.STREAM, title="Offboard"),
-    Mode("TAKEOFF", 0x02040000, Behaviour.TAKEOFF, _PX4_AUTO, title="Takeoff"),
-    Mode("LOITER", 0x03040000, Behaviour.HOLD, _PX4_AUTO, title="Hold"),
-    Mode("MISSION", 0x04040000, Behaviour.HOLD, _PX4_AUTO, Need.MISSION, title="Mission"),
-    Mode("RTL", 0x05040000, Behaviour.RETURN, _PX4_AUTO, armable=False, title="Return"),
-    Mode("LAND", 0x06040000, Behaviour.LAND, _PX4_AUTO, armable=False, title="Land"),
-    Mode("FOLLOW", 0x08040000, Behaviour.HOLD, _PX4_AUTO, title="Follow Me"),
-    Mode("PRECLAND", 0x09040000, Behaviour.LAND, _PX4_AUTO, armable=False, title="Precision Landing"),
+    FlightMode("OFFBOARD", 0x00060000, Behaviour.FOLLOW, 0x01, Need.STREAM, title="Offboard"),
+    FlightMode("TAKEOFF", 0x02040000, Behaviour.TAKEOFF, _PX4_AUTO, title="Takeoff"),
+    FlightMode("LOITER", 0x03040000, Behaviour.HOLD, _PX4_AUTO, title="Hold"),
+    FlightMode("MISSION", 0x04040000, Behaviour.HOLD, _PX4_AUTO, Need.MISSION, title="Mission"),
+    FlightMode("RTL", 0x05040000, Behaviour.RETURN, _PX4_AUTO, armable=False, title="Return"),
+    FlightMode("LAND", 0x06040000, Behaviour.LAND, _PX4_AUTO, armable=False, title="Land"),
+    FlightMode("FOLLOW", 0x08040000, Behaviour.HOLD, _PX4_AUTO, title="Follow Me"),
+    FlightMode("PRECLAND", 0x09040000, Behaviour.LAND, _PX4_AUTO, armable=False, title="Precision Landing"),
 )
 
-PX4 = Manners(
+PX4 = AutopilotProfile(
     name="px4",
     is_px4=True,
     autopilot=12,
@@ -151,23 +151,23 @@ PX4 = Manners(
     first_mode="LOITER",
     transitions=MappingProxyType(
         {
-            ("TAKEOFF", Event.CLIMBED): "LOITER",
+            ("TAKEOFF", ModeEvent.CLIMBED): "LOITER",
             # After landing the vehicle is back in Hold; out of a failsafe it returns to the intended mode instead.
-            ("LAND", Event.DISARMED): "LOITER",
-            ("PRECLAND", Event.DISARMED): "LOITER",
-            ("RTL", Event.DISARMED): "LOITER",
-            ("TAKEOFF", Event.DISARMED): "LOITER",
+            ("LAND", ModeEvent.DISARMED): "LOITER",
+            ("PRECLAND", ModeEvent.DISARMED): "LOITER",
+            ("RTL", ModeEvent.DISARMED): "LOITER",
+            ("TAKEOFF", ModeEvent.DISARMED): "LOITER",
         }
     ),
     failsafe_modes=MappingProxyType(
         {
             # COM_OBL_RC_ACT: the default 0 is no hover without a pilot, it sinks and drifts
-            Event.STREAM_LOST: MappingProxyType(
+            ModeEvent.STREAM_LOST: MappingProxyType(
                 {0: "POSCTL", 1: "ALTCTL", 2: "STABILIZED", 3: "RTL", 4: "LAND", 5: "LOITER", 6: "LOITER", 7: ""}
             ),
             # NAV_DLL_ACT: Hold for COM_FAIL_ACT_T, then the action
-            Event.GCS_LOST: MappingProxyType({1: "LOITER", 2: "LOITER", 3: "LOITER", 5: "", 6: ""}),
-            Event.FAILSAFE_DELAY_OVER: MappingProxyType({1: "LOITER", 2: "RTL", 3: "LAND"}),
+            ModeEvent.GCS_LOST: MappingProxyType({1: "LOITER", 2: "LOITER", 3: "LOITER", 5: "", 6: ""}),
+            ModeEvent.FAILSAFE_DELAY_OVER: MappingProxyType({1: "LOITER", 2: "RTL", 3: "LAND"}),
         }
     ),
     stream_mode="OFFBOARD",
@@ -203,11 +203,11 @@ PX4 = Manners(
     text_suffix="\t",
     target_components=frozenset({0, 1}),
     obeys_system_0=False,
-    refused_arming=Result.TEMPORARILY_REJECTED,
-    refused_disarming=Result.TEMPORARILY_REJECTED,
-    refused_mode=Result.TEMPORARILY_REJECTED,
-    unknown_interval=Result.FAILED,
-    unknown_request=Result.DENIED,
+    refused_arming=CommandResult.TEMPORARILY_REJECTED,
+    refused_disarming=CommandResult.TEMPORARILY_REJECTED,
+    refused_mode=CommandResult.TEMPORARILY_REJECTED,
+    unknown_interval=CommandResult.FAILED,
+    unknown_request=CommandResult.DENIED,
     fastest_interval_s=0.008,
     interval_capped=True,
     interval_step_s=0.0,
@@ -243,20 +243,20 @@ _AP_PILOT = 81  # custom, manual input, stabilize
 _AP_POSITION = 89  # the same with guided: the horizontal position controller is active
 
 _ARDUPILOT_MODES = (
-    Mode("STABILIZE", 0, Behaviour.SINK, _AP_PILOT),
-    Mode("ALT_HOLD", 2, Behaviour.SINK, _AP_PILOT),
-    Mode("AUTO", 3, Behaviour.HOLD, _AP_POSITION, Need.MISSION),
-    Mode("GUIDED", 4, Behaviour.FOLLOW, _AP_POSITION),
-    Mode("LOITER", 5, Behaviour.SINK, _AP_POSITION),
-    Mode("RTL", 6, Behaviour.RETURN, _AP_POSITION, armable=False),
-    Mode("LAND", 9, Behaviour.LAND, _AP_POSITION, armable=False),
-    Mode("POSHOLD", 16, Behaviour.SINK, _AP_POSITION),
-    Mode("BRAKE", 17, Behaviour.HOLD, _AP_POSITION, armable=False),
-    Mode("SMART_RTL", 21, Behaviour.RETURN, _AP_POSITION, armable=False),
-    Mode("AUTO_RTL", 27, Behaviour.RETURN, _AP_POSITION, Need.MISSION, armable=False),
+    FlightMode("STABILIZE", 0, Behaviour.SINK, _AP_PILOT),
+    FlightMode("ALT_HOLD", 2, Behaviour.SINK, _AP_PILOT),
+    FlightMode("AUTO", 3, Behaviour.HOLD, _AP_POSITION, Need.MISSION),
+    FlightMode("GUIDED", 4, Behaviour.FOLLOW, _AP_POSITION),
+    FlightMode("LOITER", 5, Behaviour.SINK, _AP_POSITION),
+    FlightMode("RTL", 6, Behaviour.RETURN, _AP_POSITION, armable=False),
+    FlightMode("LAND", 9, Behaviour.LAND, _AP_POSITION, armable=False),
+    FlightMode("POSHOLD", 16, Behaviour.SINK, _AP_POSITION),
+    FlightMode("BRAKE", 17, Behaviour.HOLD, _AP_POSITION, armable=False),
+    FlightMode("SMART_RTL", 21, Behaviour.RETURN, _AP_POSITION, armable=False),
+    FlightMode("AUTO_RTL", 27, Behaviour.RETURN, _AP_POSITION, Need.MISSION, armable=False),
 )
 
-ARDUPILOT = Manners(
+ARDUPILOT = AutopilotProfile(
     name="ardupilot",
     is_px4=False,
     autopilot=3,
@@ -265,12 +265,12 @@ ARDUPILOT = Manners(
     transitions=MappingProxyType({}),  # nothing changes a mode by itself but a failsafe; LAND stays LAND when landed
     failsafe_modes=MappingProxyType(
         {
-            Event.STREAM_LOST: MappingProxyType({}),  # targets lapse (GUID_TIMEOUT), the mode stays
+            ModeEvent.STREAM_LOST: MappingProxyType({}),  # targets lapse (GUID_TIMEOUT), the mode stays
             # FS_GCS_ENABLE
-            Event.GCS_LOST: MappingProxyType(
+            ModeEvent.GCS_LOST: MappingProxyType(
                 {1: "RTL", 2: "RTL", 3: "SMART_RTL", 4: "SMART_RTL", 5: "LAND", 6: "RTL", 7: "BRAKE"}
             ),
-            Event.FAILSAFE_DELAY_OVER: MappingProxyType({}),
+            ModeEvent.FAILSAFE_DELAY_OVER: MappingProxyType({}),
         }
     ),
     stream_mode="GUIDED",
@@ -286,11 +286,11 @@ ARDUPILOT = Manners(
     text_suffix="",
     target_components=None,
     obeys_system_0=True,
-    refused_arming=Result.FAILED,
-    refused_disarming=Result.FAILED,
-    refused_mode=Result.FAILED,
-    unknown_interval=Result.DENIED,
-    unknown_request=Result.FAILED,
+    refused_arming=CommandResult.FAILED,
+    refused_disarming=CommandResult.FAILED,
+    refused_mode=CommandResult.FAILED,
+    unknown_interval=CommandResult.DENIED,
+    unknown_request=CommandResult.FAILED,
     fastest_interval_s=0.003,
     interval_capped=False,
     interval_step_s=0.001,
@@ -313,7 +313,7 @@ ARDUPILOT = Manners(
     version_text="ArduCopter V4.7.0-dev",
 )
 
-MANNERS: Mapping[str, Manners] = MappingProxyType({"px4": PX4, "ardupilot": ARDUPILOT})
+MANNERS: Mapping[str, AutopilotProfile] = MappingProxyType({"px4": PX4, "ardupilot": ARDUPILOT})
 
 # REQUEST_DATA_STREAM of ArduPilot: stream id -> the messages that this simulator knows of it.
 DATA_STREAMS: Mapping[int, tuple[str, ...]] = MappingProxyType(

@@ -14,7 +14,7 @@ from sitl_mock.autopilot.profiles import MANNERS
 from sitl_mock.host.vehicle import Vehicle
 from sitl_mock.physics.constants import Physics, load_physics
 from sitl_mock.physics.geodesy import Geodetic, World
-from sitl_mock.physics.particles import Swarm
+from sitl_mock.physics.particles import Particles
 from sitl_mock.physics.reference import Limits, Reference, Thrust, Vec3
 
 TIME_SLACK_S = 1e-9  # a step whose time floating point put a hair behind now is due
@@ -63,12 +63,12 @@ class Fleet:
 
     def __init__(self, options: FleetOptions) -> None:
         self.physics: Physics = load_physics()
-        manners = MANNERS[options.autopilot]
+        profile = MANNERS[options.autopilot]
         world = World(Geodetic(*options.origin_deg_m))
         pads_ned_m = np.array([(north, east, 0.0) for east, north in options.pads_enu_m]).reshape(-1, 3)  # (V, 3)
         errors, drifts, wind = np.random.default_rng(options.seed).spawn(3)
-        self.swarm = Swarm(self.physics, pads_ned_m, options.wind_m_s, wind)
-        sigma = np.array([manners.position_error_m[0]] * 2 + [manners.position_error_m[1]])
+        self.swarm = Particles(self.physics, pads_ned_m, options.wind_m_s, wind)
+        sigma = np.array([profile.position_error_m[0]] * 2 + [profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma
         self.vehicles = []
         for k, system_id in enumerate(options.system_ids):
@@ -80,7 +80,7 @@ class Fleet:
                 _vec3(noise[k].tolist()),
                 float(drifts.uniform(-np.pi, np.pi)),
             )
-            self.vehicles.append(Vehicle(Autopilot(manners, setup, world)))
+            self.vehicles.append(Vehicle(Autopilot(profile, setup, world)))
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
         self._step = 0
 

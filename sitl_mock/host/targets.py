@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from sitl_mock.links import Link
-from sitl_mock.messages import Fields, Status
+from sitl_mock.messages import Fields, StatusText
 from sitl_mock.physics import courses
 from sitl_mock.physics.geodesy import Geodetic, World
 from sitl_mock.protocol.codec import Codec
@@ -17,7 +17,7 @@ from sitl_mock.protocol.codec import Codec
 DEFAULT_HZ = 10.0  # as PX4 and ArduPilot send their global position unasked, in round numbers
 MOST_HZ = 100.0  # the server looks at its streams as often
 GROUND_ROVER = 10  # MAV_TYPE
-GENERIC = 0  # MAV_AUTOPILOT: nobody's manners
+GENERIC = 0  # MAV_AUTOPILOT: none in particular
 ARMED_BIT = 128
 ESTIMATES = 0b11  # FOLLOW_TARGET.est_capabilities: position and velocity
 
@@ -153,7 +153,7 @@ _HEARTBEAT: Fields = {
     "autopilot": GENERIC,
     "base_mode": ARMED_BIT,
     "custom_mode": 0,
-    "system_status": int(Status.ACTIVE),
+    "system_status": int(StatusText.ACTIVE),
     "mavlink_version": 3,
 }
 

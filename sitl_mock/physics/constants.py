@@ -29,7 +29,7 @@ class BodyLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Tracking:
+class PositionLoop:
     """Gains and bounds of the loop that follows a reference."""
 
     position_gain_per_s: float  # [1/s]
@@ -67,7 +67,7 @@ class Physics:
 
     time: Timing
     body: BodyLimits
-    tracking: Tracking
+    tracking: PositionLoop
     ground: Ground
     wind: Wind
 
@@ -82,7 +82,7 @@ def load_physics() -> Physics:
     return Physics(
         time=Timing(**tables["time"]),
         body=BodyLimits(**tables["body"]),
-        tracking=Tracking(**tables["tracking"]),
+        tracking=PositionLoop(**tables["tracking"]),
         ground=Ground(**tables["ground"]),
         wind=Wind(**tables["wind"]),
     )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl_mock.physics.arrays import Array
-from sitl_mock.physics.constants import Physics, Tracking
+from sitl_mock.physics.constants import Physics, PositionLoop
 from sitl_mock.physics.reference import Limits, Reference
 
 TINY = 1e-9  # keeps 0/0 out of unit vectors; far below any length or speed that matters
@@ -49,7 +49,7 @@ class Commands:
         self.correction_m_s2 = np.ones(vehicles)
         self.flying = np.zeros(vehicles, dtype=bool)
 
-    def set(self, row: int, reference: Reference, limits: Limits, tracking: Tracking) -> None:
+    def set(self, row: int, reference: Reference, limits: Limits, tracking: PositionLoop) -> None:
         """Replace the reference of one vehicle; whether it flies is `flying`."""
         self.position_m[row] = reference.position_ned_m
         self.velocity_m_s[row] = reference.velocity_ned_m_s
@@ -71,7 +71,7 @@ class Commands:
         self.correction_m_s2[row] = limits.acceleration_m_s2
 
 
-class Swarm:
+class Particles:
     """State and inner loops of V vehicles.
 
     Args:
@@ -182,7 +182,7 @@ class Swarm:
         return error_m * factor
 
     def _speed_limited(self, wanted_m_s: Array, feed_m_s2: Array) -> tuple[Array, Array]:
-        """Wanted velocity within the parameters' limits; where it was cut, no feed-forward pushes outwards."""
+        """SwarmSetpoint velocity within the parameters' limits; where it was cut, no feed-forward pushes outwards."""
         c = self.commands
         horizontal_m_s = np.hypot(wanted_m_s[:, 0], wanted_m_s[:, 1])
         allowed_m_s = c.speed_m_s + c.speed_headroom_m_s

@@ -40,7 +40,7 @@ Handler = Callable[[Autopilot, Received, int, float], None]
 def hear(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     """Let a vehicle act on one message that arrived on a link."""
     handler = HANDLERS.get(message.name)
-    if not vehicle.manners.texts_need_gcs:
+    if not vehicle.profile.texts_need_gcs:
         vehicle.links[link].texts_open = True  # ArduPilot: any frame opens the channel's texts
     if handler is not None and now_s >= vehicle.boot.heartbeat_s:
         handler(vehicle, message, link, now_s)
@@ -49,7 +49,7 @@ def hear(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None
 def _addressed(vehicle: Autopilot, message: Received, system_0: bool) -> bool:
     """Whether target_system and target_component mean this vehicle, as its autopilot sees it."""
     system, component = message.fields["target_system"], message.fields.get("target_component", 0)
-    components = vehicle.manners.target_components
+    components = vehicle.profile.target_components
     mine = system == vehicle.system_id or (system == 0 and system_0)
     return mine and (components is None or component in components)
 
@@ -57,7 +57,7 @@ def _addressed(vehicle: Autopilot, message: Received, system_0: bool) -> bool:
 def _heartbeat(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     if message.fields["type"] == GCS_TYPE:
         vehicle.links[link].texts_open = True
-    if vehicle.manners.is_px4:
+    if vehicle.profile.is_px4:
         if message.fields["type"] == GCS_TYPE:
             vehicle.gcs_heard_at_s = now_s
     elif message.system == vehicle.parameters["MAV_GCS_SYSID"]:
@@ -65,7 +65,7 @@ def _heartbeat(vehicle: Autopilot, message: Received, link: int, now_s: float) -
 
 
 def _command(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if _addressed(vehicle, message, vehicle.manners.obeys_system_0):
+    if _addressed(vehicle, message, vehicle.profile.obeys_system_0):
         commands.execute(vehicle, commands.command_of(message, link))
 
 
@@ -86,7 +86,7 @@ def _setpoint_global(vehicle: Autopilot, message: Received, link: int, now_s: fl
         return
     f = message.fields
     frame, mask = int(f["coordinate_frame"]), int(f["type_mask"])
-    px4 = vehicle.manners.is_px4
+    px4 = vehicle.profile.is_px4
     if px4 and frame not in PX4_GLOBAL_FRAMES:
         text = f"SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame {frame}"
         vehicle.obey(Understood(Verdict.INVALID, text=text))
@@ -111,7 +111,7 @@ def _setpoint_global(vehicle: Autopilot, message: Received, link: int, now_s: fl
 
 def _obey(vehicle: Autopilot, wish: Wish, now_s: float) -> None:
     situation = Situation(now_s, vehicle.local_origin_ned_m, vehicle.body.position_m, vehicle.body.yaw_rad)
-    carry_s = vehicle.manners.carry_s
+    carry_s = vehicle.profile.carry_s
     if carry_s is not None:
         vehicle.obey(understand_px4(wish, situation, carry_s))
     else:
@@ -127,7 +127,7 @@ def _set_origin(vehicle: Autopilot, message: Received, link: int, now_s: float) 
 
 
 def _data_stream(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if vehicle.manners.is_px4 or not _addressed(vehicle, message, system_0=True):
+    if vehicle.profile.is_px4 or not _addressed(vehicle, message, system_0=True):
         return  # PX4 ignores it
     number, rate_hz = message.fields["req_stream_id"], message.fields["req_message_rate"]
     period_s = 1.0 / rate_hz if message.fields["start_stop"] and rate_hz else None
@@ -144,16 +144,16 @@ def _timesync(vehicle: Autopilot, message: Received, link: int, now_s: float) ->
 
 def _ping(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     f = message.fields
-    if f["target_system"] == 0 and vehicle.manners.is_px4:
+    if f["target_system"] == 0 and vehicle.profile.is_px4:
         back = {"target_system": message.system, "target_component": message.component}
         vehicle.send("PING", {"time_usec": f["time_usec"], "seq": f["seq"], **back}, link)
 
 
 def _parameter_list(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if not _addressed(vehicle, message, system_0=not vehicle.manners.is_px4):
+    if not _addressed(vehicle, message, system_0=not vehicle.profile.is_px4):
         return
     vehicle.links[link].parameter_index = 0
-    if vehicle.manners.parameters_bytewise:
+    if vehicle.profile.parameters_bytewise:
         fields = {
             "param_id": b"_HASH_CHECK",
             "param_value": float(PARAMETER_HASH & 0x7FFFFF),
@@ -179,24 +179,24 @@ def continue_lists(vehicle: Autopilot) -> None:
 
 
 def _parameter_read(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if not _addressed(vehicle, message, system_0=not vehicle.manners.is_px4):
+    if not _addressed(vehicle, message, system_0=not vehicle.profile.is_px4):
         return
     index = message.fields["param_index"]
     name = message.fields["param_id"] if index < 0 else vehicle.parameters.name_at(index)
     if name is None or name not in vehicle.parameters:
-        if vehicle.manners.parameters_bytewise:
+        if vehicle.profile.parameters_bytewise:
             _parameter_error(vehicle, message, name or "", link, 1)
         return
-    indexed = vehicle.manners.parameters_bytewise or index >= 0
+    indexed = vehicle.profile.parameters_bytewise or index >= 0
     answer = Outgoing("PARAM_VALUE", vehicle.parameters.message(name, indexed), link)
-    if vehicle.manners.parameters_bytewise:
+    if vehicle.profile.parameters_bytewise:
         vehicle.outbox.append(answer)
     else:
         vehicle.send_later(now_s + ARDUPILOT_READ_S, answer)
 
 
 def _parameter_set(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
-    if not _addressed(vehicle, message, system_0=not vehicle.manners.is_px4):
+    if not _addressed(vehicle, message, system_0=not vehicle.profile.is_px4):
         return
     f = message.fields
     name = f["param_id"]
@@ -206,9 +206,9 @@ def _parameter_set(vehicle: Autopilot, message: Received, link: int, now_s: floa
         if refusal.error is not None:
             _parameter_error(vehicle, message, name, link, refusal.error)
         return
-    answer = vehicle.parameters.message(name, indexed=vehicle.manners.parameters_bytewise)
+    answer = vehicle.parameters.message(name, indexed=vehicle.profile.parameters_bytewise)
     vehicle.send("PARAM_VALUE", answer, link)
-    if changed and vehicle.manners.parameters_bytewise:
+    if changed and vehicle.profile.parameters_bytewise:
         vehicle.send_later(now_s + PX4_ECHO_S, Outgoing("PARAM_VALUE", answer))
     if name == "MAV_SYSID":
         vehicle.system_id = min(max(int(vehicle.parameters[name]), 1), 255)  # at once, as ArduPilot does

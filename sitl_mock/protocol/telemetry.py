@@ -52,18 +52,18 @@ def attitude_rad(body: Body) -> tuple[float, float]:
 
 def battery_percent(vehicle: Autopilot) -> int:
     """Remaining charge as the real SITL batteries show it."""
-    if vehicle.manners.is_px4:
+    if vehicle.profile.is_px4:
         return max(round(100 - PX4_DRAIN_PER_S * vehicle.flown_s), PX4_LEAST)
     return max(round(ARDUPILOT_FULL - ARDUPILOT_DRAIN_PER_S * vehicle.flown_s), 0)
 
 
 def _heartbeat(vehicle: Autopilot, body: Body) -> Fields:
     base_mode = vehicle.mode.base_mode | (ARMED_BIT if vehicle.armed else 0)
-    if vehicle.manners.is_px4 and vehicle.mode.behaviour is Behaviour.FOLLOW and vehicle.stream_fresh:
+    if vehicle.profile.is_px4 and vehicle.mode.behaviour is Behaviour.FOLLOW and vehicle.stream_fresh:
         base_mode |= STREAMING_BIT
     return {
         "type": 2,
-        "autopilot": vehicle.manners.autopilot,
+        "autopilot": vehicle.profile.autopilot,
         "base_mode": base_mode,
         "custom_mode": vehicle.mode.number,
         "system_status": int(vehicle.status),
@@ -100,7 +100,7 @@ def _gps_raw_int(vehicle: Autopilot, body: Body) -> Fields:
     fix = vehicle.ready or vehicle.body.time_s >= vehicle.boot.origin_s
     return {
         "time_usec": _us(body),
-        "fix_type": (3 if vehicle.manners.is_px4 else 6) if fix else 0,
+        "fix_type": (3 if vehicle.profile.is_px4 else 6) if fix else 0,
         "lat": round(point.latitude_deg * 1e7),
         "lon": round(point.longitude_deg * 1e7),
         "alt": round(point.altitude_m * 1e3),
@@ -143,7 +143,7 @@ def _attitude_quaternion(vehicle: Autopilot, body: Body) -> Fields:
 
 
 def _local_position_ned(vehicle: Autopilot, body: Body) -> Fields | None:
-    if not vehicle.ready and not vehicle.manners.is_px4:
+    if not vehicle.ready and not vehicle.profile.is_px4:
         return None  # ArduPilot never sends it before its estimator has a position
     x, y, z = local_m(vehicle, body)
     vx, vy, vz = body.velocity_m_s
@@ -169,7 +169,7 @@ def _global_position_int(vehicle: Autopilot, body: Body) -> Fields | None:
 
 
 def _position_target_local_ned(vehicle: Autopilot, body: Body) -> Fields | None:
-    px4 = vehicle.manners.is_px4
+    px4 = vehicle.profile.is_px4
     if not px4 and (not vehicle.airborne or vehicle.mode.behaviour is not Behaviour.FOLLOW):
         return None  # ArduPilot has no target then
     position, velocity, acceleration, mask = [NAN] * 3, [NAN] * 3, [NAN, NAN, 100.0], 63  # PX4 on the ground
@@ -204,7 +204,7 @@ def _vfr_hud(vehicle: Autopilot, body: Body) -> Fields:
     v = body.velocity_m_s
     speed_m_s = math.hypot(v[0], v[1])
     return {
-        "airspeed": NAN if vehicle.manners.is_px4 else speed_m_s,
+        "airspeed": NAN if vehicle.profile.is_px4 else speed_m_s,
         "groundspeed": speed_m_s,
         "heading": round(math.degrees(body.yaw_rad)) % 360,
         "throttle": 48 if vehicle.airborne else 0,
@@ -229,7 +229,7 @@ def _home_position(vehicle: Autopilot, body: Body) -> Fields | None:
         "x": home[0] - o[0],
         "y": home[1] - o[1],
         "z": home[2] - o[2],
-        "q": [1.0, 0.0, 0.0, 0.0] if vehicle.manners.is_px4 else [NAN] * 4,
+        "q": [1.0, 0.0, 0.0, 0.0] if vehicle.profile.is_px4 else [NAN] * 4,
         "approach_x": 0.0,
         "approach_y": 0.0,
         "approach_z": 0.0,
@@ -250,7 +250,7 @@ def _gps_global_origin(vehicle: Autopilot, body: Body) -> Fields | None:
 
 
 def _current_mode(vehicle: Autopilot, body: Body) -> Fields | None:
-    if not vehicle.manners.is_px4:
+    if not vehicle.profile.is_px4:
         return None
     standard = {"TAKEOFF": 8, "LAND": 7, "RTL": 5}.get(vehicle.mode.name, 0)  # MAV_STANDARD_MODE as PX4 sends it
     return {
@@ -275,7 +275,7 @@ def _battery_status(vehicle: Autopilot, body: Body) -> Fields:
 
 
 def _altitude(vehicle: Autopilot, body: Body) -> Fields | None:
-    if not vehicle.manners.is_px4:
+    if not vehicle.profile.is_px4:
         return None
     amsl_m = vehicle.world.origin.altitude_m - body.position_m[2]
     return {
@@ -306,7 +306,7 @@ def _estimator_status(vehicle: Autopilot, body: Body) -> Fields:
 
 
 def _ekf_status_report(vehicle: Autopilot, body: Body) -> Fields | None:
-    if vehicle.manners.is_px4:
+    if vehicle.profile.is_px4:
         return None
     names = ("velocity", "pos_horiz", "pos_vert", "compass", "terrain_alt")
     return {"flags": 0x33F if vehicle.ready else 0xA7, **{f"{name}_variance": 0.01 for name in names}}
@@ -314,9 +314,9 @@ def _ekf_status_report(vehicle: Autopilot, body: Body) -> Fields | None:
 
 def _autopilot_version(vehicle: Autopilot, body: Body) -> Fields:
     return {
-        "capabilities": vehicle.manners.capabilities,
-        "flight_sw_version": vehicle.manners.version,
-        "middleware_sw_version": vehicle.manners.version,
+        "capabilities": vehicle.profile.capabilities,
+        "flight_sw_version": vehicle.profile.version,
+        "middleware_sw_version": vehicle.profile.version,
         "os_sw_version": 0,
         "board_version": 0,
         "flight_custom_version": list(b"particle"),

@@ -21,7 +21,7 @@ from fg_gcs.record.write.recorder import plain
 from tests.flight.harness import SMALL as SMALL_MISSION
 
 FOLDER = Path(__file__).parents[2] / "missions"
-SMALL = Size(flights=0, seed=0, rehearsed_s=1.0)
+SMALL = Size(flights=0, seed=0, simulated_s=1.0)
 GOOD: dict[str, object] = {
     "vehicles": 9,
     "completed": True,
@@ -128,7 +128,7 @@ def test_random_flights_are_counted_with_their_seeds() -> None:
             raise PlanError("no way")
         return flight
 
-    figures, rows = measured(flyer, Size(flights=4, seed=7, rehearsed_s=1.0))
+    figures, rows = measured(flyer, Size(flights=4, seed=7, simulated_s=1.0))
     drawn = figures["flights"]
     assert isinstance(drawn, dict)
     assert [each["seed"] for each in drawn.pop("odd")] == [8, 9, 10]
@@ -153,7 +153,7 @@ def landed_on_even_seeds(text: str, _autopilot: str | None) -> Flight:
 
 def test_several_processes_count_the_same() -> None:
     one, two = (
-        measured(landed_on_even_seeds, Size(flights=5, seed=4, rehearsed_s=1.0, jobs=jobs))[0]["flights"]
+        measured(landed_on_even_seeds, Size(flights=5, seed=4, simulated_s=1.0, jobs=jobs))[0]["flights"]
         for jobs in (1, 2)
     )
     assert one == two
@@ -239,5 +239,5 @@ def test_a_missing_mission_is_one_line_before_anything_flies(
 
 
 def test_the_figures_are_json() -> None:
-    figures, _ = measured(lambda _text, _autopilot: flown(), Size(flights=1, seed=0, rehearsed_s=1.0))
+    figures, _ = measured(lambda _text, _autopilot: flown(), Size(flights=1, seed=0, simulated_s=1.0))
     assert json.loads(json.dumps(plain(figures)))["flights"]["flown"] == 1

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from fg_gcs.console.nonblocking import MOST_WAITING, Outlet, unhurried
+from fg_gcs.console.nonblocking import MOST_WAITING, NonBlockingWriter, unhurried
 
 LARGE = 1 << 20  # more than any pipe holds
 
@@ -42,7 +42,7 @@ def test_everything_arrives_in_order_before_it_is_closed() -> None:
 
 def test_where_nobody_reads_texts_are_dropped_whole_and_nothing_waits() -> None:
     there, here = os.pipe()
-    outlet = Outlet(here, most=4)
+    outlet = NonBlockingWriter(here, most=4)
     texts = [bytes([65 + k]) * LARGE for k in range(10)]
     for text in texts:
         assert outlet.write(text) == LARGE  # would block for ever, did it wait

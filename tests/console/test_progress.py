@@ -15,10 +15,10 @@ from rich.console import Console
 from fg_gcs.console.closing import closing_lines
 from fg_gcs.console.progress import BEGIN_FRAME, END_FRAME, EVENT_LINES, HINT, Progress, vehicle_lines
 from fg_gcs.console.tracking_lines import HEIGHT, tracking_lines
-from fg_gcs.flight.target_follower import Status
+from fg_gcs.flight.target_follower import TrackingStatus
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission import Mission
-from fg_gcs.track.follow.replanner import Mode
+from fg_gcs.track.follow.replanner import FollowMode
 from fg_gcs.track.sightings import Verdict
 from fg_gcs.wire.autopilots import PX4
 from fg_gcs.wire.phases import Phase
@@ -87,17 +87,17 @@ def test_the_picture_of_a_pursuit_fits_never_jumps_and_tells_of_loss_and_return(
         assert {len(lines) for lines in flying} == {1 + HEIGHT + 1 + mission.swarm.vehicles + 1}
         assert len(flying[0]) + EVENT_LINES <= height
         assert {lines[-1] for lines in flying} == {HINT}
-        tracked = [lines[1 : 1 + HEIGHT] for stage, lines in taken if stage in ("approach", "hold")][2:]
-        assert {tuple(line.split()[0] for line in lines) for lines in tracked} == {
+        tracking = [lines[1 : 1 + HEIGHT] for stage, lines in taken if stage in ("approach", "hold")][2:]
+        assert {tuple(line.split()[0] for line in lines) for lines in tracking} == {
             ("target", "formation", "sightings", "latency")
         }
-        lost = ["LOST" in lines[0] for lines in tracked]
+        lost = ["LOST" in lines[0] for lines in tracking]
         assert (lost[0], lost[-1]) == (False, False)
         assert np.count_nonzero(np.diff(lost)) == 2  # lost once, found once
-        for lines, gone in zip(tracked, lost, strict=True):
+        for lines, gone in zip(tracking, lost, strict=True):
             assert ("predicted" in lines[1] or "waiting" in lines[1]) if gone else " m off" in lines[1]
             assert "home in" in lines[0] if gone else re.search(r"seen 0\.\d s ago, \d\.\d m/s at \d+ [EW]", lines[0])
-        assert "gated" in tracked[-1][2]
+        assert "gated" in tracking[-1][2]
         stages = [stage for stage, _ in taken]
         assert set(stages) >= {"connect", "take-off", "approach", "hold", "home", "land"}
 
@@ -108,7 +108,7 @@ def test_the_latency_is_that_of_the_sensor_and_one_round_of_setpoints(tmp_path: 
     async def look(flight: Flight) -> None:
         await flight.reaches("hold")
         async for _ in ticks(0.0, 0.25):
-            status = None if flight.director.pursuit is None else flight.director.pursuit.status
+            status = None if flight.director.target_follower is None else flight.director.target_follower.status
             if status is None:
                 return
             seen.append(status.latency_s)
@@ -234,7 +234,9 @@ def test_before_and_after_tracking_the_lines_keep_their_place() -> None:
 
 @pytest.mark.parametrize("rests", [False, True])
 def test_nothing_is_off_of_what_nobody_has_seen(rests: bool) -> None:
-    status = Status(Mode.WAIT, 1, None, np.inf, 1.0, rests, False, 57.0, 4, {Verdict.MALFORMED: 4}, np.nan)
+    status = TrackingStatus(
+        FollowMode.WAIT, 1, None, np.inf, 1.0, rests, False, 57.0, 4, {Verdict.MALFORMED: 4}, np.nan
+    )
     lines = Screen(80, 24).lines(tracking_lines(status))
     assert [line.split(maxsplit=1)[1] for line in lines] == [
         "not seen yet, home in 57 s",

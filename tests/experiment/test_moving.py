@@ -19,20 +19,20 @@ from fg_gcs.experiment.moving_targets import (
     durations_ms,
     many,
     nine,
-    rehearse_all,
     replan_table,
     run,
+    simulate_all,
     tracking_table,
 )
-from fg_gcs.run.kinematic import Rehearsal
+from fg_gcs.run.kinematic import KinematicSimulation
 
 SECONDS = 20.0  # the circle is caught by then
 
 
 @pytest.fixture(scope="module")
-def rehearsed() -> dict[str, list[Rehearsal]]:
+def simulated() -> dict[str, list[KinematicSimulation]]:
     looks = itertools.count()
-    return rehearse_all(lambda: float(next(looks)), lambda _line: None, 2, SECONDS)
+    return simulate_all(lambda: float(next(looks)), lambda _line: None, 2, SECONDS)
 
 
 def test_requirements_know_which_way_is_good_and_what_is_missing() -> None:
@@ -50,21 +50,21 @@ def test_requirements_know_which_way_is_good_and_what_is_missing() -> None:
     assert most.worst([]) is None
 
 
-def test_every_course_has_its_rows_and_its_own_seeds(rehearsed: dict[str, list[Rehearsal]]) -> None:
-    assert list(rehearsed) == [course.name for course in courses()]
-    table = tracking_table(rehearsed)
+def test_every_course_has_its_rows_and_its_own_seeds(simulated: dict[str, list[KinematicSimulation]]) -> None:
+    assert list(simulated) == [course.name for course in courses()]
+    table = tracking_table(simulated)
     told = [(row[0], row[1]) for row in table.rows]
     assert len(set(told)) == len(told)
     for course in courses():
         assert (course.name, "caught after [s]") in told
         assert {(course.name, requirement.figure) for requirement, _ in course.required} <= set(told)
-        one, other = rehearsed[course.name]
+        one, other = simulated[course.name]
         assert not np.array_equal(one.position_m, other.position_m)
 
 
-def test_the_table_holds_the_rehearsals_figures(rehearsed: dict[str, list[Rehearsal]]) -> None:
-    rows = {(row[0], row[1]): row[2:] for row in tracking_table(rehearsed).rows}
-    figures = [each.figures() for each in rehearsed[CIRCLE]]
+def test_the_table_holds_the_rehearsals_figures(simulated: dict[str, list[KinematicSimulation]]) -> None:
+    rows = {(row[0], row[1]): row[2:] for row in tracking_table(simulated).rows}
+    figures = [each.figures() for each in simulated[CIRCLE]]
     rms = [float(str(each.error_rms_m)) for each in figures]
     required, middle, worst, met = rows[CIRCLE, "error, rms [m]"]
     assert required == "<= 0.5"
@@ -75,7 +75,7 @@ def test_the_table_holds_the_rehearsals_figures(rehearsed: dict[str, list[Rehear
     # It was not lost before the end, so it was not found either, and that is no success
     assert rows[LOST, "found again after [s]"] == ("<= 3", None, None, "no")
     ratio = float(str(rows[OUTLIERS, "error over that without"][2]))
-    rough = [float(str(each.figures().error_rms_m)) for each in rehearsed[OUTLIERS]]
+    rough = [float(str(each.figures().error_rms_m)) for each in simulated[OUTLIERS]]
     assert ratio == pytest.approx(max(one / other for one, other in zip(rough, rms, strict=True)))
 
 
@@ -89,8 +89,8 @@ def test_replanning_times_stand_beside_what_is_required() -> None:
     ]
 
 
-def test_durations_leave_out_the_first_of_each_rehearsal(rehearsed: dict[str, list[Rehearsal]]) -> None:
-    runs = rehearsed[CIRCLE]
+def test_durations_leave_out_the_first_of_each_rehearsal(simulated: dict[str, list[KinematicSimulation]]) -> None:
+    runs = simulated[CIRCLE]
     found = durations_ms(runs)
     assert len(found) == sum(len(each.replans) - 1 for each in runs)
     assert set(found) == {1000.0}
@@ -105,8 +105,10 @@ def test_both_swarms_keep_the_separation_and_follow() -> None:
         assert figures.broken == ()
 
 
-def test_the_same_rehearsals_give_the_same_pictures(rehearsed: dict[str, list[Rehearsal]], tmp_path: Path) -> None:
-    drawn = {name: rehearsed[name][0] for name in DRAWN}
+def test_the_same_rehearsals_give_the_same_pictures(
+    simulated: dict[str, list[KinematicSimulation]], tmp_path: Path
+) -> None:
+    drawn = {name: simulated[name][0] for name in DRAWN}
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
         drawings.save(drawings.draw_tracks(drawn), tmp_path / folder, "tracks")

@@ -12,13 +12,13 @@ from fg_gcs.experiment import drawings
 from fg_gcs.experiment.flights import fly
 from fg_gcs.experiment.formulations import formulations
 from fg_gcs.experiment.published import LENGTHS_M
-from fg_gcs.experiment.results import Picture, Result, experiments, write_page, write_tables
+from fg_gcs.experiment.results import ExperimentResult, Picture, experiments, write_page, write_tables
 from fg_gcs.experiment.scenes import TARGETS, printed_rows, scene
 from fg_gcs.experiment.sensitivity import sensitivity
 from fg_gcs.experiment.table1 import table1
-from fg_gcs.experiment.tables import Column, Table
+from fg_gcs.experiment.tables import Column, ResultTable
 
-SMALL = Table(
+SMALL = ResultTable(
     "small",
     "A small table",
     "What it shows.",
@@ -42,7 +42,7 @@ def test_csv_and_page_hold_the_same_digits() -> None:
 
 
 def test_the_page_holds_every_table_and_links_what_is_there(tmp_path: Path) -> None:
-    result = Result((SMALL,), (Picture("face", "A face."),))
+    result = ExperimentResult((SMALL,), (Picture("face", "A face."),))
     write_tables(result.tables, tmp_path)
     page = write_page([result], tmp_path).read_text()
     assert SMALL.markdown() in page

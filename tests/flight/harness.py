@@ -13,7 +13,7 @@ import numpy as np
 from pymavlink.dialects.v20 import all as dialect
 from scipy.spatial.distance import pdist
 
-from fg_gcs.flight.director import Director, Result, Setup
+from fg_gcs.flight.director import Director, FlightResult, Setup
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.record.write.recorder import Recorder
@@ -73,7 +73,7 @@ class Flight:
     simulator: Simulator
     recorder: Recorder
     truth_separation_m: float = np.inf  # closest pair in the simulator's own state, airborne or not
-    result: Result | None = None
+    result: FlightResult | None = None
 
     async def reaches(self, stage: str) -> None:
         """Wait until the flight is in a stage."""

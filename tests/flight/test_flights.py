@@ -1,4 +1,4 @@
-"""The flights that must hold, whole, in virtual time, in both autopilots' manners."""
+"""The flights that must hold, whole, in virtual time, in both autopilots' behaviour."""
 
 from __future__ import annotations
 

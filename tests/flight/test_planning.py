@@ -12,11 +12,11 @@ import pytest
 from fg_gcs.core.formation import Pose
 from fg_gcs.flight.planning import LATE_S, Planning
 from fg_gcs.link.clock import VirtualTimeLoop
-from fg_gcs.track.follow.fail_safe import Ride
-from fg_gcs.track.follow.replanner import Mode, Replan
+from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
+from fg_gcs.track.follow.replanner import FollowMode, Replan
 from tests.flight.harness import Flight, Script, fly
 
-FOUND = Replan(Ride.resting(Pose(np.zeros(3), np.eye(3)), 0.0), Mode.FOLLOW, taken=True)
+FOUND = Replan(FailSafeTrajectory.resting(Pose(np.zeros(3), np.eye(3)), 0.0), FollowMode.FOLLOW, taken=True)
 STEP_S = 0.003
 HOLD_S = 2.0  # of the small mission
 

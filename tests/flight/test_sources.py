@@ -111,7 +111,7 @@ def test_a_script_is_its_motion_seen_by_the_sensor(tmp_path: Path) -> None:
     station = run(mission, wait_10_s)
     (target,) = mission.targets or []
     sensor = Sensor("lead", target.sensor.settings(), 0)
-    expected = takewhile(lambda look: look.received_s < 10.0, sensor.looks(Circle((0.0, 0.0, 18.0), 50.0, 4.0)))
+    expected = takewhile(lambda look: look.received_s < 10.0, sensor.measurements(Circle((0.0, 0.0, 18.0), 50.0, 4.0)))
     wanted = [look.sighting for look in expected if look.sighting is not None]
     assert 60 < len(wanted) < 95
     assert [s.time_s for s in station.seen] == pytest.approx([s.time_s + BEGAN_S for s in wanted])

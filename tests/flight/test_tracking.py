@@ -1,4 +1,4 @@
-"""Flights after targets that move, whole, in virtual time, in both autopilots' manners."""
+"""Flights after targets that move, whole, in virtual time, in both autopilots' behaviour."""
 
 from __future__ import annotations
 
@@ -166,8 +166,8 @@ def test_a_source_that_falls_silent_for_good_is_given_up(tmp_path: Path) -> None
     flight = fly(tmp_path, "px4", mission=mission_of(tmp_path, text))
     assert flight.result is not None
     assert flight.result.reason == "no sightings for 5 s"
-    assert flight.result.tracked is not None
-    assert flight.result.tracked.ended_s - flight.result.tracked.began_s == pytest.approx(5.9 + 5.0, abs=0.1)
+    assert flight.result.tracking is not None
+    assert flight.result.tracking.ended_s - flight.result.tracking.began_s == pytest.approx(5.9 + 5.0, abs=0.1)
     assert down_and_disarmed(flight)
 
 
@@ -200,8 +200,8 @@ def test_datagrams_that_are_nonsense_are_counted_and_change_nothing(tmp_path: Pa
     flight = fly(tmp_path, "px4", talk, mission_of(tmp_path, moving(LEAD + UDP)))
     assert flight.result is not None
     assert flight.result.completed, flight.result.reason
-    assert flight.result.tracked is not None
-    refused = {verdict.name: count for verdict, count in flight.result.tracked.refused.items()}
+    assert flight.result.tracking is not None
+    refused = {verdict.name: count for verdict, count in flight.result.tracking.refused.items()}
     assert set(refused) == {"MALFORMED", "FAR"}
     assert refused["MALFORMED"] > 6 * refused["FAR"] - 6
     assert refused["FAR"] > 100
@@ -290,7 +290,7 @@ def test_a_vehicle_taken_over_while_tracking_is_left_alone(autopilot: str, tmp_p
         await flight.reaches("approach")
         await asyncio.sleep(2.0)
         assert flight.director.fleet is not None
-        other.command_mode(2, flight.director.fleet.vehicles[1].manners.hold_mode)
+        other.command_mode(2, flight.director.fleet.vehicles[1].profile.hold_mode)
 
     flight = fly(tmp_path, autopilot, take, mission_of(tmp_path, CIRCLING))
     assert flight.result is not None
@@ -302,8 +302,8 @@ def test_vehicles_that_are_lost_while_tracking_end_it(tmp_path: Path) -> None:
     async def kill(flight: Flight) -> None:
         await flight.reaches("hold")
         await asyncio.sleep(0.5)
-        assert flight.director.pursuit is not None
-        status = flight.director.pursuit.status
+        assert flight.director.target_follower is not None
+        status = flight.director.target_follower.status
         assert status is not None
         assert status.error_m < 5.0
         assert status.known is not None

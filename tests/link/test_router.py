@@ -11,7 +11,7 @@ from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.router import Direction, Router
 from fg_gcs.wire import commands
-from fg_gcs.wire.autopilots import ARDUPILOT, PX4, Manners
+from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec, Message, Sender
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
@@ -25,18 +25,18 @@ Result = TypeVar("Result")
 class Fake(asyncio.DatagramProtocol):
     """An autopilot's link: says what the test wants and remembers what it hears."""
 
-    def __init__(self, system_id: int, manners: Manners = PX4) -> None:
-        self.sender, self.codec, self.manners = Sender(system_id, 1), Codec(), manners
+    def __init__(self, system_id: int, profile: AutopilotProfile = PX4) -> None:
+        self.sender, self.codec, self.profile = Sender(system_id, 1), Codec(), profile
         self.heard: list[Message] = []
         self.transport: asyncio.DatagramTransport
         self.target: tuple[str, int] | None = None
 
     @classmethod
-    async def start(cls, system_id: int, manners: Manners = PX4, *, local: int | None = None) -> "Fake":
+    async def start(cls, system_id: int, profile: AutopilotProfile = PX4, *, local: int | None = None) -> "Fake":
         loop = asyncio.get_running_loop()
         there, here = ("127.0.0.1", PORT), None if local is None else ("127.0.0.1", local)
         made = await loop.create_datagram_endpoint(
-            lambda: cls(system_id, manners), local_addr=here, remote_addr=there if local is None else None
+            lambda: cls(system_id, profile), local_addr=here, remote_addr=there if local is None else None
         )
         made[1].transport = made[0]
         return made[1]
@@ -49,7 +49,7 @@ class Fake(asyncio.DatagramProtocol):
         self.transport.sendto(self.sender.pack(message), self.target)
 
     def beat(self, mode: int = 0) -> None:
-        self.say(dialect.MAVLink_heartbeat_message(2, self.manners.autopilot, 1, mode, 3, 3))
+        self.say(dialect.MAVLink_heartbeat_message(2, self.profile.autopilot, 1, mode, 3, 3))
 
     def names(self) -> list[str]:
         return [message.get_type() for message in self.heard]
@@ -147,7 +147,7 @@ def test_manners_phase_and_messages_reach_who_asked() -> None:
         plane.transport.sendto(unknown)
         await settle()
         router.heartbeat()
-        assert [vehicle.manners for vehicle in router.vehicles.values()] == [ARDUPILOT, PX4]
+        assert [vehicle.profile for vehicle in router.vehicles.values()] == [ARDUPILOT, PX4]
         assert router.vehicles[5].mode_name == "GUIDED"
         assert seen == [(5, "HEARTBEAT", 0.001), (6, "HEARTBEAT", 0.001)]
         assert [direction for direction, _, _ in taps] == [Direction.IN] * 3 + [Direction.OUT] * 2

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.mission.tables import Table
+from fg_gcs.mission.tables import MissionTable
 from fg_gcs.plan.targets import Target
 
 MISSIONS = Path(__file__).parents[2] / "missions"
@@ -230,13 +230,13 @@ def test_a_custom_formation(tmp_path: Path) -> None:
     assert mission.task().formation.slots_m.tolist() == [[0, -2, -2], [0, 2, -2], [0, 0, 3], [-2, 0, 0]]
 
 
-def inner(annotation: object) -> list[type[Table]]:
-    if isinstance(annotation, type) and issubclass(annotation, Table):
+def inner(annotation: object) -> list[type[MissionTable]]:
+    if isinstance(annotation, type) and issubclass(annotation, MissionTable):
         return [annotation]
     return [table for part in get_args(annotation) for table in inner(part)]
 
 
-def tables(model: type[Table], above: str = "") -> Iterator[tuple[str, type[Table]]]:
+def tables(model: type[MissionTable], above: str = "") -> Iterator[tuple[str, type[MissionTable]]]:
     for name, field in model.model_fields.items():
         for kind in inner(field.annotation):
             yield above + name, kind

@@ -11,7 +11,7 @@ from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.record.evaluate.figures import Flown, Whereabouts
 from fg_gcs.record.evaluate.tracking import (
     KEYS,
-    Pursued,
+    Followed,
     commanded_steps,
     coverage_after_facing,
     fitted,
@@ -32,8 +32,8 @@ DEPTH_M = 0.7
 LEADERS = (1, 2, 3, 4)
 
 
-def pursued(caught_s: float | None = 4.0, weights: tuple[float, ...] = (1.0,)) -> Pursued:
-    return Pursued(1.0, 20.0, caught_s, weights, hemisphere(4, 0, 6.0).leaders_m, DEPTH_M, 1.5, 1.0)
+def the_followed(caught_s: float | None = 4.0, weights: tuple[float, ...] = (1.0,)) -> Followed:
+    return Followed(1.0, 20.0, caught_s, weights, hemisphere(4, 0, 6.0).leaders_m, DEPTH_M, 1.5, 1.0)
 
 
 @pytest.mark.parametrize("formation", [hemisphere(4, 5, 6.0), hemisphere(3, 0, 9.0), LOPSIDED])
@@ -77,8 +77,8 @@ def test_a_loss_ends_with_the_first_sighting_and_is_mended_when_the_error_is_sma
         sightings.append((received_s, received_s, 0, 0.0, 0.0, 0.0, code))
     time_s = np.arange(0.0, 10.0, 0.5)
     error = np.where((time_s >= 5.0) & (time_s < 7.0), 3.0, 1.0)
-    assert found_again(time_s, error, sightings.columns(), pursued()) == [pytest.approx(2.0), pytest.approx(0.0)]
-    assert found_again(time_s, error + 5.0, sightings.columns(), pursued()) == [None, None]
+    assert found_again(time_s, error, sightings.columns(), the_followed()) == [pytest.approx(2.0), pytest.approx(0.0)]
+    assert found_again(time_s, error + 5.0, sightings.columns(), the_followed()) == [None, None]
 
 
 def test_the_reaction_is_that_of_the_first_setpoint_after_a_ride_that_was_taken() -> None:
@@ -151,7 +151,7 @@ def followed(offset_m: float) -> tuple[Flown, dict[str, dict[str, Array]]]:
 @pytest.mark.parametrize("offset_m", [0.0, 0.4])
 def test_a_formation_beside_its_target_is_off_by_as_much(offset_m: float) -> None:
     series, tables = followed(offset_m)
-    found = tracking_figures(series, LEADERS, pursued(), tables)
+    found = tracking_figures(series, LEADERS, the_followed(), tables)
     for key in ("centre_error_rms_m", "centre_error_p95_m", "centre_error_commanded_rms_m"):
         assert found[key] == pytest.approx(offset_m, abs=1e-9), key
     assert found["capture_time_s"] == pytest.approx(3.0)
@@ -160,24 +160,27 @@ def test_a_formation_beside_its_target_is_off_by_as_much(offset_m: float) -> Non
 
 def test_what_was_never_caught_or_never_known_has_no_figures() -> None:
     series, tables = followed(0.0)
-    for what, given in ((pursued(caught_s=None), tables), (pursued(), {**tables, "truth": empty(TRUTH)})):
+    for what, given in ((the_followed(caught_s=None), tables), (the_followed(), {**tables, "truth": empty(TRUTH)})):
         found = tracking_figures(series, LEADERS, what, given)
         assert set(found) == {*KEYS, "found_again_s", "replans"}
         assert found["centre_error_rms_m"] is None
-    assert tracking_figures(None, LEADERS, pursued(), tables)["flux_metric_share"] is None
+    assert tracking_figures(None, LEADERS, the_followed(), tables)["flux_metric_share"] is None
 
 
 def test_a_leader_that_was_never_heard_leaves_the_figures_of_the_formation_open() -> None:
     series, tables = followed(0.4)
     for leaders in ((1, 2, 3, 9), ()):
-        found = tracking_figures(series, leaders, pursued(), tables)
+        found = tracking_figures(series, leaders, the_followed(), tables)
         assert found["capture_time_s"] == pytest.approx(3.0)
         for key in ("centre_error_rms_m", "centre_error_p95_m", "centre_error_commanded_rms_m", "flux_metric_share"):
             assert found[key] is None, key
     told = tables["setpoints"]
     served = told["system_id"] != 2  # heard, but never sent anything
     found = tracking_figures(
-        series, LEADERS, pursued(), {**tables, "setpoints": {name: column[served] for name, column in told.items()}}
+        series,
+        LEADERS,
+        the_followed(),
+        {**tables, "setpoints": {name: column[served] for name, column in told.items()}},
     )
     assert found["centre_error_rms_m"] == pytest.approx(0.4)
     assert found["centre_error_commanded_rms_m"] is None

@@ -39,7 +39,7 @@ def test_a_run_from_before_targets_moved_has_nothing_of_them(tmp_path: Path) -> 
     for name in ("sightings", "replans", "truth"):
         (folder / f"{name}.npz").unlink()
     run = load_run(folder)
-    assert run.pursued is None
+    assert run.followed is None
     assert run.true_target is None
     assert not len(run.sightings["time_s"])
     assert run.series is not None

@@ -190,7 +190,7 @@ def test_requests(autopilot: str, unknown: int) -> None:
     assert station.command(REQUEST, 49) == [ACCEPTED]
     assert station.messages("GPS_GLOBAL_ORIGIN")
     assert station.command(REQUEST, 148) == [ACCEPTED]
-    assert station.messages("AUTOPILOT_VERSION")[-1].capabilities == station.pilot.manners.capabilities
+    assert station.messages("AUTOPILOT_VERSION")[-1].capabilities == station.pilot.profile.capabilities
     assert station.command(REQUEST, 9999) == [unknown]
 
 

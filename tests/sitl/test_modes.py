@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from sitl_mock.autopilot.profiles import MANNERS, Behaviour, Event, Need
-from sitl_mock.messages import Landed, Status
+from sitl_mock.autopilot.profiles import MANNERS, Behaviour, ModeEvent, Need
+from sitl_mock.messages import Landed, StatusText
 from sitl_mock.physics.reference import Thrust
 from tests.sitl.driver import (
     AP_LAND,
@@ -28,19 +28,19 @@ from tests.sitl.driver import (
 )
 
 PLACE = (0.0, 0.0, -5.0)
-PAIRS = [(name, mode.name, event) for name, m in MANNERS.items() for mode in m.modes for event in Event]
+PAIRS = [(name, mode.name, event) for name, m in MANNERS.items() for mode in m.modes for event in ModeEvent]
 # What leaves a mode, written out once more; whatever is not here leaves the mode as it is.
 EXPECTED = {
-    ("px4", "TAKEOFF", Event.CLIMBED): "LOITER",
-    ("px4", "TAKEOFF", Event.DISARMED): "LOITER",
-    ("px4", "LAND", Event.DISARMED): "LOITER",
-    ("px4", "PRECLAND", Event.DISARMED): "LOITER",
-    ("px4", "RTL", Event.DISARMED): "LOITER",
-    ("px4", "OFFBOARD", Event.STREAM_LOST): "LAND",
-    **{("px4", mode.name, Event.GCS_LOST): "LOITER" for mode in MANNERS["px4"].modes},
-    **{("px4", mode.name, Event.FAILSAFE_DELAY_OVER): "RTL" for mode in MANNERS["px4"].modes},
-    **{("ardupilot", mode.name, Event.GCS_LOST): "LAND" for mode in MANNERS["ardupilot"].modes},
-    **{("ardupilot", mode.name, Event.FAILSAFE_DELAY_OVER): "LAND" for mode in MANNERS["ardupilot"].modes},
+    ("px4", "TAKEOFF", ModeEvent.CLIMBED): "LOITER",
+    ("px4", "TAKEOFF", ModeEvent.DISARMED): "LOITER",
+    ("px4", "LAND", ModeEvent.DISARMED): "LOITER",
+    ("px4", "PRECLAND", ModeEvent.DISARMED): "LOITER",
+    ("px4", "RTL", ModeEvent.DISARMED): "LOITER",
+    ("px4", "OFFBOARD", ModeEvent.STREAM_LOST): "LAND",
+    **{("px4", mode.name, ModeEvent.GCS_LOST): "LOITER" for mode in MANNERS["px4"].modes},
+    **{("px4", mode.name, ModeEvent.FAILSAFE_DELAY_OVER): "RTL" for mode in MANNERS["px4"].modes},
+    **{("ardupilot", mode.name, ModeEvent.GCS_LOST): "LAND" for mode in MANNERS["ardupilot"].modes},
+    **{("ardupilot", mode.name, ModeEvent.FAILSAFE_DELAY_OVER): "LAND" for mode in MANNERS["ardupilot"].modes},
 }
 
 
@@ -78,15 +78,15 @@ def _bytewise(value: int) -> float:
     return number
 
 
-def happen(station: Station, event: Event) -> None:
+def happen(station: Station, event: ModeEvent) -> None:
     vehicle = station.pilot
-    station.heartbeats = event not in (Event.GCS_LOST, Event.FAILSAFE_DELAY_OVER)
-    keep = vehicle.mode.behaviour is Behaviour.FOLLOW and event is not Event.STREAM_LOST
-    if event is Event.CLIMBED:
+    station.heartbeats = event not in (ModeEvent.GCS_LOST, ModeEvent.FAILSAFE_DELAY_OVER)
+    keep = vehicle.mode.behaviour is Behaviour.FOLLOW and event is not ModeEvent.STREAM_LOST
+    if event is ModeEvent.CLIMBED:
         vehicle.pilot.takeoff_height_m = 100.0
-    elif event is Event.DISARMED:
+    elif event is ModeEvent.DISARMED:
         vehicle.disarm("command", force=True)
-    seconds = {Event.GCS_LOST: 1.6, Event.FAILSAFE_DELAY_OVER: 3.8, Event.STREAM_LOST: 1.3}.get(event, 0.2)
+    seconds = {ModeEvent.GCS_LOST: 1.6, ModeEvent.FAILSAFE_DELAY_OVER: 3.8, ModeEvent.STREAM_LOST: 1.3}.get(event, 0.2)
     if keep and vehicle.armed:
         stream(station, seconds)
     else:
@@ -94,12 +94,12 @@ def happen(station: Station, event: Event) -> None:
 
 
 @pytest.mark.parametrize(("autopilot", "mode", "event"), PAIRS)
-def test_every_mode_and_event(autopilot: str, mode: str, event: Event) -> None:
+def test_every_mode_and_event(autopilot: str, mode: str, event: ModeEvent) -> None:
     station = flying_in(autopilot, mode)
     vehicle = station.pilot
     happen(station, event)
     assert vehicle.mode.name == EXPECTED.get((autopilot, mode, event), mode)
-    assert vehicle.thrust is (Thrust.OFF if event is Event.DISARMED else Thrust.FLY)
+    assert vehicle.thrust is (Thrust.OFF if event is ModeEvent.DISARMED else Thrust.FLY)
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
@@ -121,7 +121,7 @@ def test_arming_in_every_mode(autopilot: str) -> None:
 
 def test_px4_flight() -> None:
     station = ready("px4")
-    assert station.pilot.status is Status.STANDBY
+    assert station.pilot.status is StatusText.STANDBY
     station.setpoint(PLACE, mask=USE_POSITION)
     assert station.mode(OFFBOARD) == [0, 0]  # the blind one, then the truth
     station.command(ARM, 1)
@@ -214,7 +214,7 @@ def test_px4_stream_loss(action: int, mode: str) -> None:
     assert station.pilot.mode.name == "OFFBOARD"
     station.run(0.3)
     assert station.pilot.mode.name == mode
-    assert station.pilot.status is Status.CRITICAL
+    assert station.pilot.status is StatusText.CRITICAL
     assert "Failsafe activated\t" in station.texts()
     station.setpoint(PLACE, mask=USE_POSITION)
     station.run(0.04)
@@ -286,7 +286,7 @@ def test_lost_gcs_is_nothing_by_default(autopilot: str) -> None:
     station.fly_to(5.0)
     station.heartbeats = False
     stream(station, 15.0)
-    assert station.pilot.mode.name == station.pilot.manners.stream_mode
+    assert station.pilot.mode.name == station.pilot.profile.stream_mode
 
 
 @pytest.mark.parametrize(("autopilot", "mode", "height_m"), [("px4", PX4_RTL, 30.0), ("ardupilot", AP_RTL, 15.0)])

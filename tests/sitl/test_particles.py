@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sitl_mock.physics.constants import load_physics
-from sitl_mock.physics.particles import Swarm, enu_from_ned
+from sitl_mock.physics.particles import Particles, enu_from_ned
 from sitl_mock.physics.reference import ALL, NONE, Limits, Reference, Vec3
 
 PHYSICS = load_physics()
@@ -16,12 +16,12 @@ LIMITS = Limits(speed_m_s=12.0, climb_m_s=3.0, descent_m_s=1.5, acceleration_m_s
 DT_S = PHYSICS.time.step_s
 
 
-def swarm(height_m: float = 0.0, vehicles: int = 1, wind_m_s: float = 0.0, seed: int = 0) -> Swarm:
+def swarm(height_m: float = 0.0, vehicles: int = 1, wind_m_s: float = 0.0, seed: int = 0) -> Particles:
     pads = np.array([(5.0 * k, 0.0, -height_m) for k in range(vehicles)])
-    return Swarm(PHYSICS, pads, wind_m_s, np.random.default_rng(seed))
+    return Particles(PHYSICS, pads, wind_m_s, np.random.default_rng(seed))
 
 
-def fly(particles: Swarm, row: int, reference: Reference, limits: Limits = LIMITS) -> None:
+def fly(particles: Particles, row: int, reference: Reference, limits: Limits = LIMITS) -> None:
     particles.commands.set(row, reference, limits, PHYSICS.tracking)
     particles.commands.flying[row] = True
 

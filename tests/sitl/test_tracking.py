@@ -1,4 +1,4 @@
-"""How well references are flown, whole stack from bytes to motion, in both manners."""
+"""How well references are flown, whole stack from bytes to motion, in both behaviour."""
 
 from __future__ import annotations
 

@@ -118,9 +118,9 @@ def simulated(model: Model, seed: int, steps: int) -> tuple[Array, Array, Array]
 
 @pytest.mark.parametrize("model", SINGLE)  # a mixture is no linear filter, and its covariance an approximation
 def test_errors_and_innovations_are_as_large_as_their_covariances_say(model: Model) -> None:
-    runs, steps, looks = 50, 150, (60, 90, 120, 150)
+    runs, steps, measurements = 50, 150, (60, 90, 120, 150)
     size = 3 * Settings(model=model).dynamics[0].order
-    errors, innovations = dict.fromkeys(looks, 0.0), 0.0
+    errors, innovations = dict.fromkeys(measurements, 0.0), 0.0
     for seed in range(runs):
         times, states, measured = simulated(model, seed, steps)
         estimator = Estimator(Settings(model=model, confidence=1.0 - 1e-9))
@@ -131,7 +131,7 @@ def test_errors_and_innovations_are_as_large_as_their_covariances_say(model: Mod
                 spread = before.covariance[:3, :3] + NOISE_M2 + FLOOR_M2 * np.eye(3)
                 innovations += float(gap @ np.linalg.solve(spread, gap))
             estimator.add(seen(time_s, position), time_s)
-            if k in looks:
+            if k in measurements:
                 after = known(estimator, time_s)
                 rows = (after.position_enu_m, after.velocity_m_s, after.acceleration_m_s2)[: size // 3]
                 error = (np.stack(rows) - states[k]).ravel()

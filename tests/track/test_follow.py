@@ -3,34 +3,34 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fg_gcs.track.follow.axes import Bounds, Joints
+from fg_gcs.track.follow.axes import Axes, Bounds
 
 
 def bounds(count: int = 3, speed: float = 3.0, acceleration: float = 2.0, jerk: float = 10.0) -> Bounds:
     return Bounds(*(np.full(count, value) for value in (-speed, speed, -acceleration, acceleration, jerk)))
 
 
-def chained(seed: int) -> Joints:
+def chained(seed: int) -> Axes:
     """A motion to a moving state, straight on, and to rest, from a state within the bounds."""
     draw = np.random.default_rng(seed)
     start = np.stack((draw.normal(size=3) * 5.0, draw.uniform(-2, 2, 3), draw.uniform(-1, 1, 3)))
     goal = np.stack((draw.normal(size=3) * 5.0, draw.uniform(-2, 2, 3), draw.uniform(-1, 1, 3)))
-    joints = Joints(10.0, start)
-    assert joints.to(goal, bounds(), float(draw.choice([0.0, 6.0])))
-    assert joints.end == pytest.approx(goal, abs=1e-6)
-    assert joints.to_velocity(goal[1], bounds())
-    joints.straight_on(joints.end_s + 1.5)
-    assert joints.end[1] == pytest.approx(goal[1], abs=1e-6)
-    assert joints.to_velocity(np.zeros(3), bounds())
-    return joints
+    axes = Axes(10.0, start)
+    assert axes.to(goal, bounds(), float(draw.choice([0.0, 6.0])))
+    assert axes.end == pytest.approx(goal, abs=1e-6)
+    assert axes.to_velocity(goal[1], bounds())
+    axes.straight_on(axes.end_s + 1.5)
+    assert axes.end[1] == pytest.approx(goal[1], abs=1e-6)
+    assert axes.to_velocity(np.zeros(3), bounds())
+    return axes
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_chain_is_continuous_up_to_the_acceleration_and_keeps_every_bound(seed: int) -> None:
-    joints = chained(seed)
-    time_s = np.linspace(joints.start_s - 0.5, joints.end_s + 0.5, 4001)
-    inside = (time_s > joints.start_s) & (time_s < joints.end_s)
-    states = joints.at(time_s)
+    axes = chained(seed)
+    time_s = np.linspace(axes.start_s - 0.5, axes.end_s + 0.5, 4001)
+    inside = (time_s > axes.start_s) & (time_s < axes.end_s)
+    states = axes.at(time_s)
     step = float(time_s[1] - time_s[0])
     position, velocity, acceleration = states.transpose(1, 0, 2)
     assert np.abs(np.diff(position, axis=0) - step * velocity[:-1]).max() < 3.0 * step**2
@@ -43,20 +43,20 @@ def test_a_chain_is_continuous_up_to_the_acceleration_and_keeps_every_bound(seed
 
 def test_a_least_duration_is_kept_and_a_state_in_place_takes_no_time() -> None:
     start = np.zeros((3, 2))
-    slow = Joints(0.0, start)
+    slow = Axes(0.0, start)
     assert slow.to(np.array([[1.0, 0.5], [0.0, 0.0], [0.0, 0.0]]), bounds(2), 4.0)
     assert slow.end_s == pytest.approx(4.0)
-    there = Joints(0.0, start)
+    there = Axes(0.0, start)
     assert there.to(start, bounds(2))
     assert there.end_s == 0.0
     assert there.at(np.array([-1.0, 0.0, 1.0])) == pytest.approx(np.zeros((3, 3, 2)))
 
 
 def test_what_no_bound_allows_and_what_is_no_number_is_refused_and_changes_nothing() -> None:
-    joints = Joints(0.0, np.zeros((3, 1)))
-    assert not joints.to(np.array([[1.0], [9.0], [0.0]]), bounds(1))
-    assert joints.end_s == 0.0
-    assert not Joints(0.0, np.full((3, 1), np.nan)).to_velocity(np.zeros(1), bounds(1))
+    axes = Axes(0.0, np.zeros((3, 1)))
+    assert not axes.to(np.array([[1.0], [9.0], [0.0]]), bounds(1))
+    assert axes.end_s == 0.0
+    assert not Axes(0.0, np.full((3, 1), np.nan)).to_velocity(np.zeros(1), bounds(1))
 
 
 def test_a_joint_that_is_off_by_a_rounding_stays_where_it_is() -> None:
@@ -66,8 +66,8 @@ def test_a_joint_that_is_off_by_a_rounding_stays_where_it_is() -> None:
         start[:, 1:] = 1e-16 * draw.normal(size=(3, 2))
         start[1:, 0] = draw.uniform(-0.5, 0.5, 2)
         start[0] += 1.0
-        joints = Joints(0.0, start)
-        assert joints.to(np.array([[4.0, 1.0, 1.0], np.zeros(3), np.zeros(3)]), bounds(), float(draw.uniform(0.0, 5.0)))
-        states = joints.at(np.linspace(0.0, joints.end_s, 500))
+        axes = Axes(0.0, start)
+        assert axes.to(np.array([[4.0, 1.0, 1.0], np.zeros(3), np.zeros(3)]), bounds(), float(draw.uniform(0.0, 5.0)))
+        states = axes.at(np.linspace(0.0, axes.end_s, 500))
         assert np.abs(states[:, 0, 1:] - 1.0).max() < 1e-8
         assert np.abs(states[:, 1:, 1:]).max() < 1e-8

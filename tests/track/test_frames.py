@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.track.follow.formation_frames import JOINTS, Frames, frames_of, state_of
+from fg_gcs.track.follow.formation_frames import AXES, Frames, frames_of, state_of
 
 
 def polynomials(seed: int, scale: float) -> Callable[[Array], Array]:
-    """Joints that move along random polynomials of time, with their derivatives; (T,) to (T, 3, 7)."""
-    powers = np.random.default_rng(seed).normal(size=(6, JOINTS)) * 0.3
+    """Axes that move along random polynomials of time, with their derivatives; (T,) to (T, 3, 7)."""
+    powers = np.random.default_rng(seed).normal(size=(6, AXES)) * 0.3
     powers[0, 6] += scale
 
     def at(time_s: Array) -> Array:
@@ -44,10 +44,10 @@ def test_a_state_is_the_whole_frame() -> None:
     for time in np.linspace(-0.5, 0.5, 5):
         frames = motion(np.array([time]))
         state = state_of(frames)
-        again = frames_of(state.joints[None], state.attitude)
+        again = frames_of(state.axes[None], state.attitude)
         for one, other in zip(again.swarm(SLOTS), frames.swarm(SLOTS), strict=True):
             assert one == pytest.approx(other, abs=1e-9)
-        assert frames.scale[0] == pytest.approx(state.joints[0, 6])
+        assert frames.scale[0] == pytest.approx(state.axes[0, 6])
 
 
 def test_distances_are_those_of_the_template_times_the_scale() -> None:

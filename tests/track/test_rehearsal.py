@@ -10,13 +10,13 @@ from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.formation import Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.run.kinematic import HOLDING, QUIET_S, TICK_S, Rehearsal, rehearse
+from fg_gcs.run.kinematic import HOLDING, QUIET_S, TICK_S, KinematicSimulation, simulate_kinematics
 from fg_gcs.scenario.motions import Circle, Static, TrueMotion
 from fg_gcs.scenario.sensor import Sensor, SensorSettings
 from fg_gcs.track.estimate.estimator import Settings
-from fg_gcs.track.follow.replanner import RUN_ON_S, Mode, Swarm
+from fg_gcs.track.follow.replanner import RUN_ON_S, FollowMode, Swarm
+from fg_gcs.track.following_core import FollowingCore, TrackingSettings
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
-from fg_gcs.track.tracker import Tracker, Tracking
 
 FORMATION = hemisphere(4, 1, 6.0)
 RULES = Rules(Limits(8.0, 4.0), 1.5, Fence((-40.0, -40.0, 2.0), (40.0, 40.0, 40.0)))
@@ -26,20 +26,20 @@ NEAR = Static((12.0, 4.0, 16.0))
 ROUND = Circle((10.0, 0.0, 16.0), 15.0, 2.0)
 
 
-def rehearsed(
+def simulated(
     motions: dict[str, TrueMotion],
     sensor: SensorSettings | None = None,
     seconds: float = 16.0,
     weights: dict[str, float] | None = None,
     seed: int = 0,
-) -> Rehearsal:
-    tracking = Tracking(weights or dict.fromkeys(motions, 1.0), Settings(), most_radius_m=6.0)
+) -> KinematicSimulation:
+    tracking = TrackingSettings(weights or dict.fromkeys(motions, 1.0), Settings(), most_radius_m=6.0)
     sensors = [Sensor(name, sensor or SensorSettings(), seed) for name in motions]
-    return rehearse(SWARM, tracking, START, motions, sensors, seconds, lambda: 0.0)
+    return simulate_kinematics(SWARM, tracking, START, motions, sensors, seconds, lambda: 0.0)
 
 
 def test_a_target_at_rest_is_caught_held_and_nothing_is_broken() -> None:
-    run = rehearsed({"boat": NEAR})
+    run = simulated({"boat": NEAR})
     figures = run.figures()
     assert figures.caught_s is not None
     assert figures.caught_s < 10.0
@@ -58,7 +58,7 @@ def test_a_target_at_rest_is_caught_held_and_nothing_is_broken() -> None:
 
 
 def test_the_same_seed_gives_the_same_rehearsal_and_another_one_another() -> None:
-    one, same, other = (rehearsed({"boat": ROUND}, seconds=6.0, seed=seed) for seed in (1, 1, 2))
+    one, same, other = (simulated({"boat": ROUND}, seconds=6.0, seed=seed) for seed in (1, 1, 2))
     assert np.array_equal(one.position_m, same.position_m)
     assert one.replans == same.replans
     assert not np.array_equal(one.position_m, other.position_m)
@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_rehearsal_and_another_one_another() -> Non
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_commanded_is_continuous_whatever_is_seen(seed: int) -> None:
     rough = SensorSettings(drop=0.3, outliers=0.1, outlier_m=10.0, jitter_s=0.05)
-    run = rehearsed({"boat": ROUND}, rough, seed=seed)
+    run = simulated({"boat": ROUND}, rough, seed=seed)
     figures = run.figures()
     # Between ticks no more than what changing accelerations bend: a dt^2, and far from what is allowed
     assert figures.position_step_m < RULES.limits.acceleration_m_s2 * TICK_S**2
@@ -79,7 +79,7 @@ def test_what_is_commanded_is_continuous_whatever_is_seen(seed: int) -> None:
 
 
 def test_a_broken_rule_and_a_step_are_told() -> None:
-    run = rehearsed({"boat": NEAR}, seconds=4.0)
+    run = simulated({"boat": NEAR}, seconds=4.0)
     jumped = run.position_m.copy()
     jumped[100:, 1] += [0.0, 0.0, 0.5]
     stepped = replace(run, position_m=jumped, velocity_m_s=3.0 * run.velocity_m_s).figures()
@@ -92,7 +92,7 @@ def test_a_broken_rule_and_a_step_are_told() -> None:
 
 def test_a_lost_target_is_found_again_and_the_time_counts_from_its_first_sighting() -> None:
     silence = SensorSettings(silence_s=((8.0, 10.5),))
-    run = rehearsed({"boat": NEAR}, silence, seconds=14.0)
+    run = simulated({"boat": NEAR}, silence, seconds=14.0)
     (found_s,) = run.figures().found_again_s
     assert found_s == pytest.approx(0.0, abs=TICK_S)  # it stood still, and so did the formation
     late = replace(run, place_m=run.place_m + np.where(run.time_s > 12.0, 0.0, 50.0)[:, None])
@@ -103,7 +103,7 @@ def test_a_lost_target_is_found_again_and_the_time_counts_from_its_first_sightin
 
 
 def test_without_sightings_it_rests_and_knows_nothing() -> None:
-    run = rehearsed({"boat": ROUND}, SensorSettings(drop=1.0), seconds=3.0)
+    run = simulated({"boat": ROUND}, SensorSettings(drop=1.0), seconds=3.0)
     figures = run.figures()
     assert np.isnan(run.estimate_m).all()
     assert np.ptp(run.position_m, axis=0).max() == 0.0
@@ -113,14 +113,14 @@ def test_without_sightings_it_rests_and_knows_nothing() -> None:
 
 
 def test_it_looks_again_while_nothing_is_seen() -> None:
-    run = rehearsed({"boat": NEAR}, SensorSettings(silence_s=((3.0, 9.0),)), seconds=8.0)
+    run = simulated({"boat": NEAR}, SensorSettings(silence_s=((3.0, 9.0),)), seconds=8.0)
     gaps = np.diff([replan.time_s for replan in run.replans])
     assert gaps.max() <= QUIET_S + TICK_S + 1e-9
 
 
 def test_several_targets_count_by_their_weights_and_their_sightings_are_planned_for_at_once() -> None:
     ends: dict[str, TrueMotion] = {"one": Static((12.0, 0.0, 15.0)), "two": Static((12.0, 4.0, 15.0))}
-    run = rehearsed(ends, weights={"one": 3.0, "two": 1.0}, seconds=10.0)
+    run = simulated(ends, weights={"one": 3.0, "two": 1.0}, seconds=10.0)
     assert run.truth_m == pytest.approx(np.tile([12.0, 1.0, 15.0], (len(run.time_s), 1)))
     assert run.targets_m.shape == (len(run.time_s), 2, 3)
     times = [replan.time_s for replan in run.replans]
@@ -130,10 +130,16 @@ def test_several_targets_count_by_their_weights_and_their_sightings_are_planned_
 
 
 def test_durations_are_the_stopwatch_s() -> None:
-    looks = itertools.count()
-    tracking = Tracking({"boat": 1.0}, Settings())
-    run = rehearse(
-        SWARM, tracking, START, {"boat": NEAR}, [Sensor("boat", SensorSettings(), 0)], 2.0, lambda: float(next(looks))
+    measurements = itertools.count()
+    tracking = TrackingSettings({"boat": 1.0}, Settings())
+    run = simulate_kinematics(
+        SWARM,
+        tracking,
+        START,
+        {"boat": NEAR},
+        [Sensor("boat", SensorSettings(), 0)],
+        2.0,
+        lambda: float(next(measurements)),
     )
     figures = run.figures()
     assert (figures.replan_median_ms, figures.replan_p99_ms) == (1000.0, 1000.0)
@@ -142,7 +148,7 @@ def test_durations_are_the_stopwatch_s() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_target_that_is_seen_no_more_is_followed_on_for_a_while_with_a_growing_formation(seed: int) -> None:
     lost_s, most = 12.0, 6.0 / FORMATION.inscribed_radius_m
-    run = rehearsed({"boat": ROUND}, SensorSettings(silence_s=((lost_s, np.inf),)), seconds=40.0, seed=seed)
+    run = simulated({"boat": ROUND}, SensorSettings(silence_s=((lost_s, np.inf),)), seconds=40.0, seed=seed)
     figures = run.figures()
     assert figures.caught_s is not None
     assert figures.caught_s < lost_s
@@ -161,18 +167,20 @@ def test_a_target_that_is_seen_no_more_is_followed_on_for_a_while_with_a_growing
 
 
 def test_one_of_several_that_is_gone_does_not_end_what_the_others_are_followed_by() -> None:
-    tracking = Tracking({"boat": 1.0, "other": 1.0}, Settings(), most_radius_m=6.0)
-    tracker = Tracker(SWARM, tracking, START, 0.0)
+    tracking = TrackingSettings({"boat": 1.0, "other": 1.0}, Settings(), most_radius_m=6.0)
+    core = FollowingCore(SWARM, tracking, START, 0.0)
     for k in range(250):
         now_s = 0.1 * k
         for name, gone_s in (("boat", np.inf), ("other", 5.0)):
             place = np.array([14.0, 2.0, 16.0])
             if now_s < gone_s:
-                tracker.sighted(Sighting(name, now_s, place, isotropic(0.1), now_s), now_s)
-        tracker.replan(now_s)
-    known = tracker.known(25.0)
+                core.sighted(Sighting(name, now_s, place, isotropic(0.1), now_s), now_s)
+        core.replan(now_s)
+    known = core.known(25.0)
     assert known is not None
     assert known.lost == ("other",)
     assert known.age_s > RUN_ON_S
-    assert tracker.replanner.mode is Mode.FOLLOW
-    assert tracker.ride.end_s > 24.9 + RUN_ON_S - 0.1  # the ride goes on for as long as one is trusted that is seen
+    assert core.replanner.mode is FollowMode.FOLLOW
+    assert (
+        core.trajectory.end_s > 24.9 + RUN_ON_S - 0.1
+    )  # the trajectory goes on for as long as one is trusted that is seen

@@ -1,4 +1,4 @@
-"""The inner loop's laws: rides follow on each other smoothly, keep every limit, and end at rest by themselves."""
+"""The inner loop's laws: trajectories join smoothly, keep every limit, and end at rest by themselves."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.track.estimate.imm import Prediction
-from fg_gcs.track.follow.fail_safe import Ride, prove
-from fg_gcs.track.follow.replanner import Goal, Mode, Replanner, Swarm
+from fg_gcs.track.follow.fail_safe import FailSafeTrajectory, verify
+from fg_gcs.track.follow.replanner import FollowMode, Goal, Replanner, Swarm
 
 NINE = hemisphere(4, 5, 6.0)
 RULES = Rules(Limits(10.0, 5.0), 1.5, Fence((-150.0, -150.0, 2.0), (150.0, 150.0, 80.0)))
@@ -43,8 +43,8 @@ def steady(time_s: float, place: Array, velocity: Array | None = None, scale: fl
     return Goal(Prediction.straight(time_s, place, np.zeros(3) if velocity is None else velocity), scale)
 
 
-def flown(ride: Ride, time_s: Array, formation: Formation = NINE) -> tuple[Array, Array, Array]:
-    return ride.frames(time_s).swarm(formation.slots_m)
+def flown(trajectory: FailSafeTrajectory, time_s: Array, formation: Formation = NINE) -> tuple[Array, Array, Array]:
+    return trajectory.frames(time_s).swarm(formation.slots_m)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -53,12 +53,14 @@ def test_whatever_the_target_does_every_ride_continues_the_last_one_and_keeps_al
     draw = np.random.default_rng(seed)
     now_s = 0.0
     while now_s < 25.0:
-        before = made.ride
-        replan = made.look(wandering(seed, now_s), now_s)
-        for one, other in zip(flown(before, np.array([now_s])), flown(replan.ride, np.array([now_s])), strict=True):
+        before = made.trajectory
+        replan = made.replan(wandering(seed, now_s), now_s)
+        for one, other in zip(
+            flown(before, np.array([now_s])), flown(replan.trajectory, np.array([now_s])), strict=True
+        ):
             assert one == pytest.approx(other, abs=1e-6)
         step_s = float(draw.choice([0.05, 0.1, 0.1, 0.4, 2.0]))
-        position, velocity, acceleration = flown(replan.ride, np.arange(now_s, now_s + step_s, 0.002))
+        position, velocity, acceleration = flown(replan.trajectory, np.arange(now_s, now_s + step_s, 0.002))
         assert np.linalg.norm(velocity, axis=2).max() <= 10.0
         assert np.linalg.norm(acceleration, axis=2).max() <= 5.0
         assert min(float(pdist(places).min()) for places in position[::10]) >= 1.5
@@ -70,9 +72,9 @@ def test_whatever_the_target_does_every_ride_continues_the_last_one_and_keeps_al
 def test_a_ride_that_nothing_follows_is_flown_to_rest_within_all_limits(seed: int) -> None:
     made = replanner()
     for step in range(60 + 37 * seed):
-        made.look(wandering(seed, 0.1 * step), 0.1 * step)
-    ride = made.ride
-    position, velocity, acceleration = flown(ride, np.arange(ride.start_s, ride.end_s + 1.0, 0.002))
+        made.replan(wandering(seed, 0.1 * step), 0.1 * step)
+    trajectory = made.trajectory
+    position, velocity, acceleration = flown(trajectory, np.arange(trajectory.start_s, trajectory.end_s + 1.0, 0.002))
     assert np.linalg.norm(velocity, axis=2).max() <= 10.0
     assert np.linalg.norm(acceleration, axis=2).max() <= 5.0
     assert RULES.fence.excess_m(position).max() <= 0.0
@@ -85,23 +87,23 @@ def test_a_target_at_rest_is_reached_faced_all_the_way_and_held_with_the_target_
     made = replanner()
     rims = []
     for step in range(200):
-        made.look(steady(0.1 * step, target), 0.1 * step)
-        rims.append(flown(made.ride, np.array([0.1 * step]))[0][0, :4])
+        made.replan(steady(0.1 * step, target), 0.1 * step)
+        rims.append(flown(made.trajectory, np.array([0.1 * step]))[0][0, :4])
     covered = coverage(np.array(rims), target)
     assert covered[int(np.argmax(covered >= FACING)) :].min() >= 0.95
-    state = made.ride.state(20.0)
-    assert made.mode is Mode.FOLLOW
-    assert state.joints[0, :3] - DEPTH_M * state.attitude[:, 0] == pytest.approx(target, abs=0.01)
-    assert np.abs(state.joints[1:]).max() < 0.01
+    state = made.trajectory.state(20.0)
+    assert made.mode is FollowMode.FOLLOW
+    assert state.axes[0, :3] - DEPTH_M * state.attitude[:, 0] == pytest.approx(target, abs=0.01)
+    assert np.abs(state.axes[1:]).max() < 0.01
 
 
 def test_a_face_that_looks_away_turns_before_it_moves() -> None:
     made = replanner()
     target = np.array([-60.0, 10.0, 20.0])
-    assert made.look(steady(0.0, target), 0.0).mode is Mode.TURN
-    middle = made.ride.state(0.5 * made.ride.end_s)
-    assert middle.joints[0, :3] == pytest.approx(START.centre_enu_m, abs=1e-9)
-    end = made.ride.state(made.ride.end_s)
+    assert made.replan(steady(0.0, target), 0.0).mode is FollowMode.TURN
+    middle = made.trajectory.state(0.5 * made.trajectory.end_s)
+    assert middle.axes[0, :3] == pytest.approx(START.centre_enu_m, abs=1e-9)
+    end = made.trajectory.state(made.trajectory.end_s)
     assert end.attitude[:, 0] @ (target - START.centre_enu_m) > 0.99 * 60.0
 
 
@@ -113,10 +115,10 @@ def test_a_turn_that_lifts_half_the_formation_keeps_climb_and_descent(limits: Li
         draw = np.random.default_rng(seed)
         away = np.array([-1.0, 0.3, 0.0]) + 0.6 * draw.normal(size=3)
         made = replanner(rules=replace(RULES, limits=limits))
-        replan = made.look(steady(0.0, START.centre_enu_m + 40.0 * away / np.linalg.norm(away)), 0.0)
+        replan = made.replan(steady(0.0, START.centre_enu_m + 40.0 * away / np.linalg.norm(away)), 0.0)
         assert replan.taken  # or it would stand here for ever
-        assert replan.mode is Mode.TURN
-        velocity = flown(made.ride, np.arange(0.0, made.ride.end_s, 0.01))[1]
+        assert replan.mode is FollowMode.TURN
+        velocity = flown(made.trajectory, np.arange(0.0, made.trajectory.end_s, 0.01))[1]
         assert velocity[:, :, 2].max() <= limits.climb_m_s
         assert velocity[:, :, 2].min() >= -limits.descent_m_s
 
@@ -127,11 +129,11 @@ def test_a_target_that_is_too_fast_is_chased_without_breaking_a_limit() -> None:
         now_s = 0.1 * step
         goal = steady(now_s, np.array([30.0 + 14.0 * now_s - 80.0, 40.0, 20.0]), np.array([14.0, 0.0, 0.0]))
         assert made.chases(goal)
-        made.look(goal, now_s)
-        _, velocity, acceleration = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.005))
+        made.replan(goal, now_s)
+        _, velocity, acceleration = flown(made.trajectory, np.arange(now_s, now_s + 0.1, 0.005))
         assert np.linalg.norm(velocity, axis=2).max() <= 10.0
         assert np.linalg.norm(acceleration, axis=2).max() <= 5.0
-    assert float(np.linalg.norm(flown(made.ride, np.array([12.0]))[1][0].mean(axis=0))) > 5.0  # it does chase
+    assert float(np.linalg.norm(flown(made.trajectory, np.array([12.0]))[1][0].mean(axis=0))) > 5.0  # it does chase
 
 
 def test_a_target_outside_the_fence_is_followed_along_the_inside() -> None:
@@ -139,8 +141,8 @@ def test_a_target_outside_the_fence_is_followed_along_the_inside() -> None:
     made = replanner(rules=tight)
     for step in range(150):
         now_s = 0.1 * step
-        made.look(steady(now_s, np.array([60.0, 2.0 * now_s, 20.0]), np.array([0.0, 2.0, 0.0])), now_s)
-        position = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.02))[0]
+        made.replan(steady(now_s, np.array([60.0, 2.0 * now_s, 20.0]), np.array([0.0, 2.0, 0.0])), now_s)
+        position = flown(made.trajectory, np.arange(now_s, now_s + 0.1, 0.02))[0]
         assert tight.fence.excess_m(position).max() <= 0.0
     assert position[-1, :, 0].max() > 10.0  # as near as it may come
 
@@ -151,8 +153,8 @@ def test_climb_descent_and_jerk_have_limits_of_their_own() -> None:
     for step in range(200):
         now_s = 0.1 * step
         height = 50.0 if now_s < 10.0 else 10.0
-        made.look(steady(now_s, np.array([30.0, 5.0, height])), now_s)
-        _, velocity, acceleration = flown(made.ride, np.arange(now_s, now_s + 0.1, 0.002))
+        made.replan(steady(now_s, np.array([30.0, 5.0, height])), now_s)
+        _, velocity, acceleration = flown(made.trajectory, np.arange(now_s, now_s + 0.1, 0.002))
         assert velocity[:, :, 2].max() <= 2.0
         assert velocity[:, :, 2].min() >= -1.0
         assert np.linalg.norm(np.diff(acceleration, axis=0), axis=2).max() / 0.002 <= 8.0
@@ -166,42 +168,46 @@ def test_climb_descent_and_jerk_have_limits_of_their_own() -> None:
 def test_stopping_comes_to_rest_soon_and_waiting_grows_in_place(limits: Limits, most_s: float) -> None:
     made = replanner(rules=replace(RULES, limits=limits))
     for step in range(60):
-        made.look(wandering(0, 0.1 * step), 0.1 * step)
-    assert np.linalg.norm(made.ride.state(6.0).joints[1, :3]) > 3.0
+        made.replan(wandering(0, 0.1 * step), 0.1 * step)
+    assert np.linalg.norm(made.trajectory.state(6.0).axes[1, :3]) > 3.0
     assert made.stop(6.0).taken
-    assert made.ride.end_s < 6.0 + most_s
-    rest = made.ride.state(made.ride.end_s)
-    assert not made.wait(1.5, made.ride.end_s - 0.1).taken  # not before it rests
-    grown = made.wait(1.5, made.ride.end_s)
+    assert made.trajectory.end_s < 6.0 + most_s
+    rest = made.trajectory.state(made.trajectory.end_s)
+    assert not made.wait(1.5, made.trajectory.end_s - 0.1).taken  # not before it rests
+    grown = made.wait(1.5, made.trajectory.end_s)
     assert grown.taken
-    assert grown.mode is Mode.WAIT
-    assert grown.ride.state(grown.ride.end_s).joints[0] == pytest.approx([*rest.joints[0, :3], 0, 0, 0, 1.5], abs=1e-6)
-    assert not made.wait(1.5, grown.ride.end_s).taken  # in place already
+    assert grown.mode is FollowMode.WAIT
+    assert grown.trajectory.state(grown.trajectory.end_s).axes[0] == pytest.approx(
+        [*rest.axes[0, :3], 0, 0, 0, 1.5], abs=1e-6
+    )
+    assert not made.wait(1.5, grown.trajectory.end_s).taken  # in place already
 
 
 def test_a_formation_that_must_not_shrink_below_the_minimum_does_not() -> None:
     made = replanner(rules=replace(RULES, separation_m=0.999 * NINE.smallest_separation_m))
     goal = steady(0.0, np.array([30.0, 0.0, 20.0]), scale=0.5)
-    assert not made.look(goal, 0.0).taken
-    assert made.look(goal._replace(scale=1.0), 0.1).taken
+    assert not made.replan(goal, 0.0).taken
+    assert made.replan(goal._replace(scale=1.0), 0.1).taken
 
 
 def test_the_same_looks_give_the_same_rides() -> None:
-    rides = []
+    trajectories = []
     for _ in range(2):
         made = replanner(start=Pose(np.zeros(3) + 30.0, Rotation.from_euler("z", 2.0).as_matrix()))
         for step in range(50):
-            made.look(wandering(1, 0.1 * step), 0.1 * step)
-        rides.append(flown(made.ride, np.linspace(4.9, 12.0, 50))[0])
-    assert np.array_equal(rides[0], rides[1])
+            made.replan(wandering(1, 0.1 * step), 0.1 * step)
+        trajectories.append(flown(made.trajectory, np.linspace(4.9, 12.0, 50))[0])
+    assert np.array_equal(trajectories[0], trajectories[1])
 
 
 def test_the_proof_sees_what_a_dense_sample_sees() -> None:
     made = replanner()
     for step in range(80):
-        made.look(wandering(2, 0.1 * step), 0.1 * step)
+        made.replan(wandering(2, 0.1 * step), 0.1 * step)
         if step % 10 == 0:
-            proof = prove(made.ride, NINE.slots_m, RULES)
-            _, velocity, acceleration = flown(made.ride, np.arange(made.ride.start_s, made.ride.end_s, 0.001))
+            proof = verify(made.trajectory, NINE.slots_m, RULES)
+            _, velocity, acceleration = flown(
+                made.trajectory, np.arange(made.trajectory.start_s, made.trajectory.end_s, 0.001)
+            )
             assert np.linalg.norm(velocity, axis=2).max() <= proof.peaks.speed_m_s
             assert np.linalg.norm(acceleration, axis=2).max() <= proof.peaks.acceleration_m_s2

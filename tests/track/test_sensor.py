@@ -17,7 +17,7 @@ STILL = Static((1.0, 2.0, 3.0))
 
 
 def sightings(sensor: Sensor, motion: TrueMotion) -> Iterator[Sighting]:
-    return (look.sighting for look in sensor.looks(motion) if look.sighting is not None)
+    return (measure.sighting for measure in sensor.measurements(motion) if measure.sighting is not None)
 
 
 def until(seconds: float, settings: SensorSettings, seed: int = 0, target: str = "lead") -> list[Sighting]:
@@ -53,8 +53,8 @@ def test_shares_of_drops_and_outliers() -> None:
     assert errors[wild] == pytest.approx(20.0)
     assert errors[~wild] == pytest.approx(0.0)
     assert wild.mean() == pytest.approx(0.05, abs=4.0 * math.sqrt(0.05 * 0.95 / 4000))
-    looks = round(seen[-1].time_s * 10.0) + 1
-    assert 1.0 - 4000 / looks == pytest.approx(0.3, abs=4.0 * math.sqrt(0.3 * 0.7 / looks))
+    measurements = round(seen[-1].time_s * 10.0) + 1
+    assert 1.0 - 4000 / measurements == pytest.approx(0.3, abs=4.0 * math.sqrt(0.3 * 0.7 / measurements))
 
 
 def test_nothing_is_seen_in_a_silence() -> None:
@@ -101,22 +101,22 @@ def test_looks_one_by_one_are_those_of_the_whole() -> None:
     settings = SensorSettings(drop=0.2, outliers=0.1)
     sensor = Sensor("lead", settings, 5)
     times = np.arange(100) / 10.0
-    looked = [sensor.look(t, p) for t, p in zip(times.tolist(), CIRCLE.at(times)[0], strict=True)]
+    looked = [sensor.measure(t, p) for t, p in zip(times.tolist(), CIRCLE.at(times)[0], strict=True)]
     shown = [sighting for sighting in looked if sighting is not None]
     # but for the jitter's draw, which a look from outside does not take
     assert 60 < len(shown) < 95
     assert all(sighting.received_s == pytest.approx(sighting.time_s + 0.1) for sighting in shown)
     again = Sensor("lead", settings, 5)
     assert positions(shown) == positions(
-        [s for t, p in zip(times.tolist(), CIRCLE.at(times)[0], strict=True) if (s := again.look(t, p)) is not None]
+        [s for t, p in zip(times.tolist(), CIRCLE.at(times)[0], strict=True) if (s := again.measure(t, p)) is not None]
     )
 
 
 @pytest.mark.parametrize("blind", [{"drop": 1.0}, {"silence_s": ((0.0, 1e9),)}])
 def test_a_blind_sensor_goes_on_looking(blind: dict[str, Any]) -> None:
-    looks = list(islice(Sensor("lead", SensorSettings(**blind), 0).looks(CIRCLE), 50))
-    assert [look.sighting for look in looks] == [None] * 50
-    assert [look.received_s for look in looks] == pytest.approx([0.1 + k / 10.0 for k in range(50)])
+    measurements = list(islice(Sensor("lead", SensorSettings(**blind), 0).measurements(CIRCLE), 50))
+    assert [measure.sighting for measure in measurements] == [None] * 50
+    assert [measure.received_s for measure in measurements] == pytest.approx([0.1 + k / 10.0 for k in range(50)])
 
 
 @pytest.mark.parametrize("wrong", [{"rate_hz": 0.0}, {"sigma_m": -1.0}, {"drop": 1.5}, {"delay_s": math.nan}])

@@ -1,19 +1,19 @@
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.wire.autopilots import ARDUPILOT, PX4, Manners, TakeOff, manners_of
+from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile, TakeOff, profile_of
 
-BOTH = pytest.mark.parametrize("manners", [PX4, ARDUPILOT], ids=lambda manners: manners.name)
+BOTH = pytest.mark.parametrize("profile", [PX4, ARDUPILOT], ids=lambda profile: profile.name)
 
 
 @BOTH
-def test_the_modes_we_use_have_names(manners: Manners) -> None:
-    used = [manners.streaming_mode, manners.hold_mode, manners.land_mode, manners.return_mode]
+def test_the_modes_we_use_have_names(profile: AutopilotProfile) -> None:
+    used = [profile.streaming_mode, profile.hold_mode, profile.land_mode, profile.return_mode]
     assert len(set(used)) == len(used)
-    assert set(used) <= set(manners.modes.values())
-    for name, number in manners.modes.items():
-        assert manners.mode_name(number) == name
-    assert manners.mode_name(0x7F123456) == "mode 0x7f123456"
+    assert set(used) <= set(profile.modes.values())
+    for name, number in profile.modes.items():
+        assert profile.mode_name(number) == name
+    assert profile.mode_name(0x7F123456) == "mode 0x7f123456"
 
 
 def test_mode_numbers_as_seen_on_the_wire() -> None:
@@ -25,16 +25,16 @@ def test_manners_are_chosen_by_the_heartbeat() -> None:
     def heartbeat(kind: int, autopilot: int) -> dialect.MAVLink_heartbeat_message:
         return dialect.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3)
 
-    assert manners_of(heartbeat(dialect.MAV_TYPE_QUADROTOR, dialect.MAV_AUTOPILOT_PX4)) is PX4
-    assert manners_of(heartbeat(dialect.MAV_TYPE_HEXAROTOR, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)) is ARDUPILOT
-    assert manners_of(heartbeat(dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID)) is None
-    assert manners_of(heartbeat(dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)) is None
-    assert manners_of(heartbeat(dialect.MAV_TYPE_QUADROTOR, dialect.MAV_AUTOPILOT_GENERIC)) is None
+    assert profile_of(heartbeat(dialect.MAV_TYPE_QUADROTOR, dialect.MAV_AUTOPILOT_PX4)) is PX4
+    assert profile_of(heartbeat(dialect.MAV_TYPE_HEXAROTOR, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)) is ARDUPILOT
+    assert profile_of(heartbeat(dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID)) is None
+    assert profile_of(heartbeat(dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)) is None
+    assert profile_of(heartbeat(dialect.MAV_TYPE_QUADROTOR, dialect.MAV_AUTOPILOT_GENERIC)) is None
 
 
 @BOTH
-def test_streams_name_messages_of_the_dialect(manners: Manners) -> None:
-    streams = {stream.name: stream for stream in manners.streams(telemetry_hz=25.0)}
+def test_streams_name_messages_of_the_dialect(profile: AutopilotProfile) -> None:
+    streams = {stream.name: stream for stream in profile.streams(telemetry_hz=25.0)}
     assert streams["LOCAL_POSITION_NED"].rate_hz == 25.0
     for name, stream in streams.items():
         assert dialect.mavlink_map[stream.message_id].msgname == name
@@ -54,15 +54,15 @@ def test_each_autopilot_shows_a_mode_change_quickly_its_own_way() -> None:
 
 
 @BOTH
-def test_parameter_names_fit_the_wire(manners: Manners) -> None:
-    names = [name for limit in manners.limits for name in limit.names]
-    names += [failsafe.name for failsafe in manners.failsafes]
+def test_parameter_names_fit_the_wire(profile: AutopilotProfile) -> None:
+    names = [name for limit in profile.limits for name in limit.names]
+    names += [failsafe.name for failsafe in profile.failsafes]
     assert len(set(names)) == len(names)
     assert all(len(name) <= 16 for name in names)
     assert {"speed_m_s", "climb_m_s", "descent_m_s", "acceleration_m_s2"} <= {
-        limit.quantity for limit in manners.limits
+        limit.quantity for limit in profile.limits
     }
-    assert all(scale > 0.0 for limit in manners.limits for scale in limit.names.values())
+    assert all(scale > 0.0 for limit in profile.limits for scale in limit.names.values())
 
 
 def test_old_and_new_names_of_ardupilot_mean_the_same_limit() -> None:
@@ -76,8 +76,8 @@ def test_only_ardupilot_takes_off_by_command() -> None:
 
 
 @BOTH
-def test_the_table_cannot_be_changed(manners: Manners) -> None:
+def test_the_table_cannot_be_changed(profile: AutopilotProfile) -> None:
     with pytest.raises(TypeError):
-        manners.modes["NEW"] = 1  # type: ignore[index]  # the point of this test
+        profile.modes["NEW"] = 1  # type: ignore[index]  # the point of this test
     with pytest.raises(AttributeError):
-        manners.name = "other"  # type: ignore[misc]  # the point of this test
+        profile.name = "other"  # type: ignore[misc]  # the point of this test

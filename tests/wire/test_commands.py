@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.errors import VehicleError
 from fg_gcs.wire import commands
-from fg_gcs.wire.autopilots import ARDUPILOT, PX4, Manners
+from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec, Message, Sender
 from fg_gcs.wire.commands import Dialogue, Request, State
 from fg_gcs.wire.params import Encoding, encode
@@ -21,8 +21,8 @@ def ack(command: int, result: int) -> Message:
     return message
 
 
-def beat(manners: Manners, mode: int, *, armed: bool = False) -> Message:
-    message: Message = dialect.MAVLink_heartbeat_message(2, manners.autopilot, 0x80 if armed else 0, mode, 3, 3)
+def beat(profile: AutopilotProfile, mode: int, *, armed: bool = False) -> Message:
+    message: Message = dialect.MAVLink_heartbeat_message(2, profile.autopilot, 0x80 if armed else 0, mode, 3, 3)
     return message
 
 
@@ -220,18 +220,18 @@ def test_a_requested_message_is_done_when_it_came() -> None:
 class Store:
     """Parameters of one autopilot, as it keeps and tells them."""
 
-    def __init__(self, manners: Manners, name: str, value: float, param_type: int) -> None:
-        self.manners, self.name, self.value, self.param_type = manners, name, value, param_type
+    def __init__(self, profile: AutopilotProfile, name: str, value: float, param_type: int) -> None:
+        self.profile, self.name, self.value, self.param_type = profile, name, value, param_type
 
     def __call__(self, message: Message, now_s: float) -> list[tuple[float, Message]]:
         if message.param_id != self.name:
             error = dialect.MAVLink_param_error_message(255, 190, message.param_id.encode(), -1, 1)
-            return [(0.01, error)] if self.manners is PX4 else []
+            return [(0.01, error)] if self.profile is PX4 else []
         if message.get_type() == "PARAM_SET":
             assert message.param_type == self.param_type
             self.value = message.param_value
             return [(0.01, self.told(self.value))]
-        return [(0.07, self.told(encode(self.name, self.value, self.param_type, self.manners.encoding)))]
+        return [(0.07, self.told(encode(self.name, self.value, self.param_type, self.profile.encoding)))]
 
     def told(self, carried: float) -> Message:
         message: Message = dialect.MAVLink_param_value_message(self.name.encode(), carried, self.param_type, 1, 65535)

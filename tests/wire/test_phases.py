@@ -2,35 +2,35 @@ from itertools import product
 
 import pytest
 
-from fg_gcs.wire.phases import TRANSITIONS, Event, Phase, following
+from fg_gcs.wire.phases import TRANSITIONS, Phase, PhaseEvent, following
 
-PAIRS = list(product(Phase, Event))
+PAIRS = list(product(Phase, PhaseEvent))
 AFTER_FLIGHT = {Phase.LANDED, Phase.LOST}
 
 
 @pytest.mark.parametrize(("phase", "event"), PAIRS)
-def test_every_pair(phase: Phase, event: Event) -> None:
+def test_every_pair(phase: Phase, event: PhaseEvent) -> None:
     after = following(phase, event)
     if (phase, event) in TRANSITIONS:
         assert after is not phase, "a transition that leads nowhere is not a transition"
     else:
         assert after is phase
-    if event is Event.SILENT:
+    if event is PhaseEvent.SILENT:
         assert after is Phase.LOST
-    if event is Event.DISARMED:
+    if event is PhaseEvent.DISARMED:
         assert after not in {Phase.ARMED, Phase.FLYING, Phase.LANDING, Phase.TAKEN}
-    if event is Event.TAKEN_OVER:
+    if event is PhaseEvent.TAKEN_OVER:
         assert after not in {Phase.ARMED, Phase.FLYING, Phase.LANDING}
     if after is Phase.FLYING:
-        assert phase is Phase.FLYING or (phase, event) == (Phase.ARMED, Event.AIRBORNE)
+        assert phase is Phase.FLYING or (phase, event) == (Phase.ARMED, PhaseEvent.AIRBORNE)
 
 
 def test_hands_off_is_sticky() -> None:
-    assert {following(Phase.TAKEN, event) for event in Event} == {Phase.TAKEN, *AFTER_FLIGHT}
+    assert {following(Phase.TAKEN, event) for event in PhaseEvent} == {Phase.TAKEN, *AFTER_FLIGHT}
 
 
 def test_a_lost_vehicle_comes_back_only_by_being_heard() -> None:
-    assert [event for event in Event if following(Phase.LOST, event) is not Phase.LOST] == [Event.HEARD]
+    assert [event for event in PhaseEvent if following(Phase.LOST, event) is not Phase.LOST] == [PhaseEvent.HEARD]
 
 
 def test_every_phase_can_be_reached() -> None:
@@ -38,7 +38,14 @@ def test_every_phase_can_be_reached() -> None:
 
 
 def test_a_whole_flight() -> None:
-    story = (Event.CHECKS_PASSED, Event.ARMED, Event.AIRBORNE, Event.LANDING_BEGAN, Event.DISARMED, Event.ARMED)
+    story = (
+        PhaseEvent.CHECKS_PASSED,
+        PhaseEvent.ARMED,
+        PhaseEvent.AIRBORNE,
+        PhaseEvent.LANDING_BEGAN,
+        PhaseEvent.DISARMED,
+        PhaseEvent.ARMED,
+    )
     phase, visited = Phase.DISCOVERED, []
     for event in story:
         phase = following(phase, event)

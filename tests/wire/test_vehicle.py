@@ -4,7 +4,7 @@ import random
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.wire.autopilots import ARDUPILOT, PX4, Manners
+from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec, Message, Sender, is_known
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Origin, Vehicle
@@ -32,8 +32,8 @@ HEARD = {
 class Probe:
     """A vehicle and the autopilot that speaks to it, over real frames."""
 
-    def __init__(self, manners: Manners = PX4) -> None:
-        self.vehicle = Vehicle(1, manners, 0.0)
+    def __init__(self, profile: AutopilotProfile = PX4) -> None:
+        self.vehicle = Vehicle(1, profile, 0.0)
         self.sender, self.codec = Sender(1, 1), Codec()
         self.now_s = 0.0
 
@@ -46,7 +46,7 @@ class Probe:
 
     def heartbeat(self, mode: int, *, armed: bool, status: int = 3) -> Vehicle:
         base_mode = 0x1D | (0x80 if armed else 0)
-        autopilot = self.vehicle.manners.autopilot
+        autopilot = self.vehicle.profile.autopilot
         return self.hear(dialect.MAVLink_heartbeat_message(2, autopilot, base_mode, mode, status, 3))
 
     def landed(self, state: int) -> Vehicle:
@@ -89,22 +89,22 @@ def test_a_flight_walks_through_the_phases() -> None:
     assert [change.at_s for change in probe.vehicle.changes] == sorted(c.at_s for c in probe.vehicle.changes)
 
 
-def flying(manners: Manners) -> Probe:
-    probe = Probe(manners)
-    probe.vehicle.command_mode(manners.streaming_mode)
-    probe.heartbeat(manners.streaming_mode, armed=True)
+def flying(profile: AutopilotProfile) -> Probe:
+    probe = Probe(profile)
+    probe.vehicle.command_mode(profile.streaming_mode)
+    probe.heartbeat(profile.streaming_mode, armed=True)
     probe.landed(IN_AIR)
     return probe
 
 
-@pytest.mark.parametrize("manners", [PX4, ARDUPILOT], ids=lambda manners: manners.name)
-def test_any_mode_that_was_not_commanded_is_a_take_over_and_stays_one(manners: Manners) -> None:
-    for mode in set(manners.modes.values()) - {manners.streaming_mode}:
-        probe = flying(manners)
+@pytest.mark.parametrize("profile", [PX4, ARDUPILOT], ids=lambda profile: profile.name)
+def test_any_mode_that_was_not_commanded_is_a_take_over_and_stays_one(profile: AutopilotProfile) -> None:
+    for mode in set(profile.modes.values()) - {profile.streaming_mode}:
+        probe = flying(profile)
         assert probe.vehicle.phase is Phase.FLYING
         assert probe.heartbeat(mode, armed=True).phase is Phase.TAKEN
-        assert probe.heartbeat(manners.streaming_mode, armed=True).phase is Phase.TAKEN
-        assert probe.heartbeat(manners.streaming_mode, armed=False).phase is Phase.LANDED
+        assert probe.heartbeat(profile.streaming_mode, armed=True).phase is Phase.TAKEN
+        assert probe.heartbeat(profile.streaming_mode, armed=False).phase is Phase.LANDED
 
 
 def test_the_mode_before_is_ours_only_until_the_commanded_one_was_seen() -> None:
@@ -235,8 +235,8 @@ def test_queues_and_tables_are_bounded() -> None:
 def test_hostile_frames_never_raise() -> None:
     draw = random.Random(6)
     kinds = [kind for kind in dialect.mavlink_map.values() if kind.msgname in HEARD or draw.random() < 0.1]
-    for manners in (PX4, ARDUPILOT):
-        vehicle, codec = Vehicle(1, manners, 0.0), Codec()
+    for profile in (PX4, ARDUPILOT):
+        vehicle, codec = Vehicle(1, profile, 0.0), Codec()
         heard = 0
         for _ in range(1000):
             kind = draw.choice(kinds)

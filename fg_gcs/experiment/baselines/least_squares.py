@@ -86,10 +86,10 @@ def plan_least_squares(
 
 def _step(leaders: Array, target: Array, held: Array) -> Array:
     """Solve the linear problem; ``held`` is the inverse of ``1 + beta M_1^T M_1``, shape (3 N, 3 N)."""
-    slope = _flux_gradient(leaders, target).ravel()
+    gradient = _flux_gradient(leaders, target).ravel()
     reference = np.exp(REFERENCE_RATE * polygon_flux(leaders, target))
-    direction = held @ slope
-    move: Array = (ALPHA * reference / (1.0 + ALPHA * slope @ direction)) * direction
+    direction = held @ gradient
+    move: Array = (ALPHA * reference / (1.0 + ALPHA * gradient @ direction)) * direction
     return move.reshape(leaders.shape)
 
 

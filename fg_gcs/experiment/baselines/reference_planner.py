@@ -75,7 +75,7 @@ def plan_leaders(leaders_enu_m: Array, target_enu_m: Array, edge_m: float) -> Pa
     def loss(places: Array) -> float:
         return -face_flux(places.reshape(4, 3), target_enu_m)
 
-    def slope(places: Array) -> Array:
+    def gradient(places: Array) -> Array:
         return central_gradient(loss, places)
 
     def keep(places: Array, _state: object) -> bool:
@@ -90,7 +90,7 @@ def plan_leaders(leaders_enu_m: Array, target_enu_m: Array, edge_m: float) -> Pa
         run(
             loss,
             start.ravel(),
-            jac=slope,
+            jac=gradient,
             hess=SR1(),
             method="trust-constr",
             constraints=[edges],
@@ -134,12 +134,12 @@ def face_flux(leaders: Array, target: Array) -> float:
 
 def central_gradient(function: Callable[[Array], float], places: Array) -> Array:
     """Return the gradient of a function of one vector by central differences, shape of ``places``."""
-    slope = np.empty_like(places)
+    gradient = np.empty_like(places)
     for index in range(len(places)):
         move = np.zeros_like(places)
         move[index] = DIFFERENCE_M
-        slope[index] = (function(places + move) - function(places - move)) / (2.0 * DIFFERENCE_M)
-    return slope
+        gradient[index] = (function(places + move) - function(places - move)) / (2.0 * DIFFERENCE_M)
+    return gradient
 
 
 def thinned(iterates: Array) -> Array:

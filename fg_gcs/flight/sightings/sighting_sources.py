@@ -13,7 +13,7 @@ from fg_gcs.core.frames import Geodetic
 from fg_gcs.flight.sightings.sources import DatagramFeed, Feed, OnRefused, OnSighting, TimedFeed
 from fg_gcs.flight.sightings.vehicle_source import VehicleFeed
 from fg_gcs.mission.target_tables import CsvSource, MovingTarget, ScriptSource, UdpSource, VehicleSource
-from fg_gcs.scenario.sensor import Look, Sensor
+from fg_gcs.scenario.sensor import Measurement, Sensor
 
 SIMULATED_ENDPOINT: Final = "udpin:127.0.0.1:14560"  # beside 14550, where the swarm comes
 
@@ -52,7 +52,7 @@ class Sources:
                     motion = target.true_motion()
                     assert motion is not None, "the loader refuses scripts without a motion"
                     sensor = Sensor(target.name, target.sensor.settings(), target.sensor.seed)
-                    self._feeds[target.name] = TimedFeed(sensor.looks(motion), on_sighting, motion)
+                    self._feeds[target.name] = TimedFeed(sensor.measurements(motion), on_sighting, motion)
                 case CsvSource():
                     self._feeds[target.name] = TimedFeed(_replayed(target), on_sighting, None)
                 case UdpSource(endpoint=endpoint):
@@ -111,6 +111,6 @@ class Sources:
         return list(dict.fromkeys(self._feeds.values()))
 
 
-def _replayed(target: MovingTarget) -> Iterator[Look]:
+def _replayed(target: MovingTarget) -> Iterator[Measurement]:
     """Return the looks of a recording; a sighting arrives when it was true, or at once if that was before the start."""
-    return iter([Look(max(row.time_s, 0.0), row) for row in target.replay()])
+    return iter([Measurement(max(row.time_s, 0.0), row) for row in target.replay()])

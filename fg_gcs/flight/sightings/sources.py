@@ -18,7 +18,7 @@ from fg_gcs.core.frames import Geodetic
 from fg_gcs.link.endpoint import Address, Wire, open_wire, parse_endpoint
 from fg_gcs.mission.target_tables import MovingTarget
 from fg_gcs.scenario.motions import TrueMotion
-from fg_gcs.scenario.sensor import Look
+from fg_gcs.scenario.sensor import Measurement
 from fg_gcs.track.sightings import Sighting, Verdict, parse_datagram
 
 OnSighting = Callable[[Sighting], None]
@@ -57,8 +57,8 @@ class TimedFeed:
         motion: how the target truly moves, if that is known.
     """
 
-    def __init__(self, looks: Iterator[Look], on_sighting: OnSighting, motion: TrueMotion | None) -> None:
-        self._looks = looks
+    def __init__(self, measurements: Iterator[Measurement], on_sighting: OnSighting, motion: TrueMotion | None) -> None:
+        self._looks = measurements
         self._on_sighting = on_sighting
         self._motion = motion
         self._began_s = 0.0
@@ -82,10 +82,10 @@ class TimedFeed:
             self._timer.cancel()
 
     def _wait(self) -> None:
-        look = next(self._looks, None)
-        if look is not None:
+        measure = next(self._looks, None)
+        if measure is not None:
             loop = asyncio.get_running_loop()
-            self._timer = loop.call_at(self._began_s + look.received_s, self._arrive, look.sighting)
+            self._timer = loop.call_at(self._began_s + measure.received_s, self._arrive, measure.sighting)
 
     def _arrive(self, sighting: Sighting | None) -> None:
         self._wait()  # first: whoever gets the sighting may close us
@@ -106,7 +106,7 @@ class DatagramFeed:
     def __init__(self, target: MovingTarget, endpoint: str, on_sighting: OnSighting, on_refused: OnRefused) -> None:
         self._target, self._endpoint = target, endpoint
         self._on_sighting, self._on_refused = on_sighting, on_refused
-        self._crowd = Crowd()
+        self._crowd = RateLimiter()
         self._wire: Wire | None = None
         self._began_s: float | None = None
 
@@ -147,7 +147,7 @@ class DatagramFeed:
             self._on_sighting(sighting)
 
 
-class Crowd:
+class RateLimiter:
     """Counts datagrams, so that a flood of them does not cost more than counting."""
 
     def __init__(self) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, enu_from_geodetic
-from fg_gcs.flight.sightings.sources import Crowd, OnRefused, OnSighting, shifted
+from fg_gcs.flight.sightings.sources import OnRefused, OnSighting, RateLimiter, shifted
 from fg_gcs.link.endpoint import Address, Wire, open_wire, parse_endpoint
 from fg_gcs.mission.target_tables import MovingTarget, VehicleSource
 from fg_gcs.scenario.sensor import Sensor
@@ -52,7 +52,7 @@ class VehicleFeed:
         }
         self._reports = {name: _Reports() for name in self._sensors}
         self._codecs: dict[Address, Codec] = {}
-        self._crowd = Crowd()
+        self._crowd = RateLimiter()
         self._wire: Wire | None = None
         self._began: tuple[float, Geodetic] | None = None
 
@@ -108,7 +108,7 @@ class VehicleFeed:
             self._on_sighting(Sighting(target.name, now_s - target.sensor.delay_s, position, covariance, now_s))
             return
         self._reports[target.name].add(now_s, position)
-        sighting = sensor.look(now_s - began_s, position)
+        sighting = sensor.measure(now_s - began_s, position)
         if sighting is not None:
             asyncio.get_running_loop().call_at(began_s + sighting.received_s, self._arrive, sighting)
 

@@ -1,4 +1,4 @@
-"""Mission files in TOML: read once into a type that proves them, or refused in one clear line."""
+"""Mission files in TOML: read once into a type that verifies them, or refused in one clear line."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pydantic_core import ErrorDetails
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission.model import Mission
-from fg_gcs.mission.tables import FOLDER, Problem, Table
-from fg_gcs.mission.validation import contradictions
+from fg_gcs.mission.tables import FOLDER, MissionTable, Problem
+from fg_gcs.mission.validation import problems_of
 
 MAX_BYTES = 1_000_000  # a mission is some 2 kB; a file hundreds of times larger is not one
 
@@ -41,7 +41,7 @@ def load_mission(path: Path) -> Mission:
         # One problem a key, the first: a key of several types is told once for each of them
         problems = list({(problem.table, problem.key): problem for problem in reversed(found)}.values())[::-1]
     else:
-        problems = list(contradictions(mission))
+        problems = list(problems_of(mission))
     if problems:
         table, key, text = problems[0]
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
@@ -52,7 +52,7 @@ def load_mission(path: Path) -> Mission:
 
 def _explained(details: ErrorDetails) -> Problem:
     """Turn pydantic's finding into table, key and what would be accepted."""
-    kinds: list[type[Table]] = [Mission]  # of the table that is looked into; several: its tag comes next
+    kinds: list[type[MissionTable]] = [Mission]  # of the table that is looked into; several: its tag comes next
     path: list[str] = []
     key, accepted, which = "", "the tables that missions/README.md names", ""
     for depth, part in enumerate(details["loc"]):
@@ -81,14 +81,14 @@ def _explained(details: ErrorDetails) -> Problem:
     return Problem(".".join(path), key + (which if path else ""), f"{found}; accepted: {accepted}")
 
 
-def _tables(annotation: object) -> list[type[Table]]:
+def _tables(annotation: object) -> list[type[MissionTable]]:
     """Return the tables that a key may hold."""
-    if isinstance(annotation, type) and issubclass(annotation, Table):
+    if isinstance(annotation, type) and issubclass(annotation, MissionTable):
         return [annotation]
     return [table for inner in get_args(annotation) for table in _tables(inner)]
 
 
-def _tag(table: type[Table]) -> str:
+def _tag(table: type[MissionTable]) -> str:
     """Return the ``kind`` of a table that is one of several."""
     return str(get_args(table.model_fields["kind"].annotation)[0])
 

@@ -13,7 +13,7 @@ from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import closest_approach
 from fg_gcs.plan.path.rigid_path import OUTLINED, attitudes_at, ball_points
 from fg_gcs.plan.path.splines import rotation_spline
-from fg_gcs.plan.path.swarm_path import Approach, PathPoint, SwarmPath, thinned
+from fg_gcs.plan.path.swarm_path import ClosestApproach, PathPoint, SwarmPath, thinned
 
 Indices = NDArray[np.intp]
 
@@ -121,17 +121,17 @@ class LeadersPath:
             + second_bend,
         )
 
-    def closest(self) -> Approach:
+    def closest(self) -> ClosestApproach:
         """Return the closest approach of any pair, the shape's change between dense samples taken as straight."""
         shares = np.arange(LOOKS) / LOOKS
         inner = self._knots_m[:-1, None] + np.diff(self._knots_m)[:, None] * shares
         samples = np.append(inner.ravel(), self._knots_m[-1])
         slots = self._slots(samples, self._followers_m)
         if slots.shape[1] < 2:
-            return Approach(np.inf, 0.0, (0, 0))
+            return ClosestApproach(np.inf, 0.0, (0, 0))
         found = closest_approach(slots, samples)
         one, other = sorted(np.argsort(self._slot_of)[list(found.pair)].tolist())  # the vehicles in these two slots
-        return Approach(found.distance_m, found.time_s, (one, other))
+        return ClosestApproach(found.distance_m, found.time_s, (one, other))
 
     def _slots(self, s_m: Array, followers_m: Array) -> Array:
         """Return all slots in the moving frame, leaders first, shape (S, V, 3) [m; template]."""
@@ -155,5 +155,5 @@ class _Outline:
     def at(self, s_m: Array) -> PathPoint:
         return self._body.points_at(s_m, self._points_m)
 
-    def closest(self) -> Approach:
+    def closest(self) -> ClosestApproach:
         return self._body.closest()

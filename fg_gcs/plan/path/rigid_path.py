@@ -13,7 +13,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
 from fg_gcs.plan.path.poses import Poses
 from fg_gcs.plan.path.splines import Vector, cross, mix, natural_cubic, rotation_spline, turning
-from fg_gcs.plan.path.swarm_path import Approach, PathPoint, SwarmPath, thinned
+from fg_gcs.plan.path.swarm_path import ClosestApproach, PathPoint, SwarmPath, thinned
 
 OUTLINED = 64  # above this many slots a ball stands for the swarm: costs some percent of the turn, saves all the time
 
@@ -80,13 +80,13 @@ class PosePath:
             return self
         return self.of_points(outline_of(self._slots_m))
 
-    def closest(self) -> Approach:
+    def closest(self) -> ClosestApproach:
         """Return the closest pair of the template where the formation is smallest: a rigid shape has no other."""
         if len(self._slots_m) < 2:
-            return Approach(np.inf, 0.0, (0, 0))
+            return ClosestApproach(np.inf, 0.0, (0, 0))
         distance_m, pair = _closest_pair(self._slots_m)
         where_m = 0.0 if self._scales[0] <= self._scales[1] else self.length_m
-        return Approach(float(distance_m * self._scales.min()), where_m, pair)
+        return ClosestApproach(float(distance_m * self._scales.min()), where_m, pair)
 
 
 class _Points:
@@ -105,7 +105,7 @@ class _Points:
     def at(self, s_m: Array) -> PathPoint:
         return self._body.points_at(s_m, self._points_m)
 
-    def closest(self) -> Approach:
+    def closest(self) -> ClosestApproach:
         return self._body.closest()
 
 

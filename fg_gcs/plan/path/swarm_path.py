@@ -23,7 +23,7 @@ class PathPoint(NamedTuple):
     second: Array  # [m / m^2]
 
 
-class Approach(NamedTuple):
+class ClosestApproach(NamedTuple):
     """Where on a path a pair comes closest."""
 
     distance_m: float
@@ -51,9 +51,9 @@ class SwarmPath(Protocol):
 
     @property
     def outline(self) -> SwarmPath:
-        """A path of few vehicles whose limits and box imply those of this one: what timing and proof look at."""
+        """A path of few vehicles whose limits and box imply those of this one: what timing and verification look at."""
 
-    def closest(self) -> Approach:
+    def closest(self) -> ClosestApproach:
         """Return the closest approach of any pair on the whole path; a single vehicle has an infinite one."""
 
 
@@ -91,13 +91,13 @@ class LinePath:
         """Itself: every vehicle has a line of its own."""
         return self
 
-    def closest(self) -> Approach:
+    def closest(self) -> ClosestApproach:
         """Return the closest approach, exact: relative positions run along lines too."""
         if len(self._start_m) < 2:
-            return Approach(np.inf, 0.0, (0, 0))
+            return ClosestApproach(np.inf, 0.0, (0, 0))
         ends = np.stack((self._start_m, self._start_m + self._length_m * self._slope))
         found = closest_approach(ends, np.array([0.0, 1.0]))
-        return Approach(found.distance_m, found.time_s * self._length_m, found.pair)
+        return ClosestApproach(found.distance_m, found.time_s * self._length_m, found.pair)
 
 
 def thinned(ways_m: Array) -> list[int]:

@@ -156,11 +156,11 @@ def _best_step(
             hessian[j, i] *= reach
     step = np.zeros(6 + 3 * count)
     if last == 6:
-        slope, bowl = gradient[first:6].copy(), hessian[first:6, first:6].copy()
-        unit = maximise_in_ball(slope, bowl)
+        reduced_gradient, reduced_hessian = gradient[first:6].copy(), hessian[first:6, first:6].copy()
+        unit = maximise_in_ball(reduced_gradient, reduced_hessian)
         for k in range(first, 6):
             step[k] = (size if k < 3 else turn) * unit[k - first]
-        return step, _gain(slope, bowl, unit)
+        return step, _gain(reduced_gradient, reduced_hessian, unit)
     unit = maximise_in_ball(gradient, hessian)
     bends = dofs - 6
     row = np.empty(3 * count)
@@ -209,8 +209,8 @@ def _constrained(gradient: Array, hessian: Array, rows: Array, gaps: Array) -> A
     for b in range(bends):
         for c in range(bends - active):
             kernel[6 + b, 6 + c] = left * axes[b, active + c]
-    slope = kernel.T @ (gradient + hessian @ normal)
-    step: Array = normal + kernel @ maximise_in_ball(slope, kernel.T @ (hessian @ kernel))
+    reduced_gradient = kernel.T @ (gradient + hessian @ normal)
+    step: Array = normal + kernel @ maximise_in_ball(reduced_gradient, kernel.T @ (hessian @ kernel))
     return step
 
 

@@ -40,8 +40,8 @@ def model(shape: Shape, departure: Array, places: Array, source: Array) -> tuple
     with the multipliers of the edges: what the restoration of the edges does to second order is in the Hessian.
     """
     count = departure.shape[0]
-    slope, curvature = np.zeros(3 * count), np.zeros((3 * count, 3 * count))
-    _flux_derivatives(places, source, slope, curvature)
+    place_gradient, curvature = np.zeros(3 * count), np.zeros((3 * count, 3 * count))
+    _flux_derivatives(places, source, place_gradient, curvature)
     held, bends = count + 6, 2 * count - 6
     rows, errors = np.zeros((held, 3 * count)), np.zeros(held)
     held_rows(shape, departure, rows, errors)
@@ -57,14 +57,14 @@ def model(shape: Shape, departure: Array, places: Array, source: Array) -> tuple
         ways[3 * i, 4], ways[3 * i, 5] = z, -y  # turn x place
         ways[3 * i + 1, 3], ways[3 * i + 1, 5] = -z, x
         ways[3 * i + 2, 3], ways[3 * i + 2, 4] = y, -x
-    _hold_edges(shape, rows, axes, slope, curvature)
+    _hold_edges(shape, rows, axes, place_gradient, curvature)
     hessian = ways.T @ (curvature @ ways)
-    _turn_curvature(places, slope, ways, hessian)
-    return ways.T @ slope, hessian, basis
+    _turn_curvature(places, place_gradient, ways, hessian)
+    return ways.T @ place_gradient, hessian, basis
 
 
 @kernel
-def _flux_derivatives(places: Array, source: Array, slope: Array, curvature: Array) -> None:
+def _flux_derivatives(places: Array, source: Array, place_gradient: Array, curvature: Array) -> None:
     """Add gradient (3 N,) and Hessian (3 N, 3 N) of the flux by all leaders' places."""
     count = places.shape[0]
     out = np.empty((14, 3))
@@ -75,8 +75,8 @@ def _flux_derivatives(places: Array, source: Array, slope: Array, curvature: Arr
         bx, by, bz = places[j]
         edge_derivatives(ax - sx, ay - sy, az - sz, bx - sx, by - sy, bz - sz, out)
         for p in range(3):
-            slope[3 * i + p] += out[0, p]
-            slope[3 * j + p] += out[1, p]
+            place_gradient[3 * i + p] += out[0, p]
+            place_gradient[3 * j + p] += out[1, p]
             for q in range(3):
                 curvature[3 * i + p, 3 * i + q] += out[2 + p, q]
                 curvature[3 * i + p, 3 * j + q] += out[5 + p, q]
@@ -110,14 +110,14 @@ def held_rows(shape: Shape, departure: Array, rows: Array, errors: Array) -> Non
 
 
 @kernel
-def _hold_edges(shape: Shape, rows: Array, axes: Array, slope: Array, curvature: Array) -> None:
+def _hold_edges(shape: Shape, rows: Array, axes: Array, place_gradient: Array, curvature: Array) -> None:
     """Turn the flux's derivatives into those of the Lagrangian, least-squares multipliers of the edges."""
     count, held, size = shape.edges_m.shape[0], rows.shape[0], rows.shape[1]
     multipliers = np.zeros(held)
     for row in range(held - 1, -1, -1):  # the rows are lower triangular along the axes
         pivot = 0.0
         for p in range(size):
-            multipliers[row] += axes[p, row] * slope[p]
+            multipliers[row] += axes[p, row] * place_gradient[p]
             pivot += rows[row, p] * axes[p, row]
         for later in range(row + 1, held):
             along = 0.0
@@ -129,7 +129,7 @@ def _hold_edges(shape: Shape, rows: Array, axes: Array, slope: Array, curvature:
         j = (i + 1) % count
         stiffness = multipliers[i] / shape.edges_m[i]
         for p in range(size):
-            slope[p] -= multipliers[i] * rows[i, p]
+            place_gradient[p] -= multipliers[i] * rows[i, p]
         for k in range(3):
             curvature[3 * i + k, 3 * i + k] -= stiffness
             curvature[3 * j + k, 3 * j + k] -= stiffness
@@ -138,14 +138,14 @@ def _hold_edges(shape: Shape, rows: Array, axes: Array, slope: Array, curvature:
 
 
 @kernel
-def _turn_curvature(places: Array, slope: Array, ways: Array, hessian: Array) -> None:
+def _turn_curvature(places: Array, place_gradient: Array, ways: Array, hessian: Array) -> None:
     """Add what turns do to second order: they bend, ``w x p + w x (w x p) / 2``, and they turn the bends."""
     for i in range(places.shape[0]):
-        gx, gy, gz = slope[3 * i], slope[3 * i + 1], slope[3 * i + 2]
+        gx, gy, gz = place_gradient[3 * i], place_gradient[3 * i + 1], place_gradient[3 * i + 2]
         straight = places[i, 0] * gx + places[i, 1] * gy + places[i, 2] * gz
         for p in range(3):
             for q in range(3):
-                mixed = places[i, p] * slope[3 * i + q] + slope[3 * i + p] * places[i, q]
+                mixed = places[i, p] * place_gradient[3 * i + q] + place_gradient[3 * i + p] * places[i, q]
                 hessian[3 + p, 3 + q] += 0.5 * mixed
             hessian[3 + p, 3 + p] -= straight
         for b in range(6, hessian.shape[0]):

@@ -208,19 +208,19 @@ def pose_derivatives(
     """
     gradient[:] = 0.0
     hessian[:] = 0.0
-    slope, bend = np.empty(3), np.empty((3, 3))
+    source_gradient, source_hessian = np.empty(3), np.empty((3, 3))
     for c in range(len(sources)):
-        if not _source_derivatives(vertices, sources[c], nearest, slope, bend):
+        if not _source_derivatives(vertices, sources[c], nearest, source_gradient, source_hessian):
             return False
         weight = weights[c]
         y = (sources[c, 0] - centre[0], sources[c, 1] - centre[1], sources[c, 2] - centre[2])
-        g = (weight * slope[0], weight * slope[1], weight * slope[2])
+        g = (weight * source_gradient[0], weight * source_gradient[1], weight * source_gradient[2])
         inner = g[0] * y[0] + g[1] * y[1] + g[2] * y[2]
         turn = cross(g, y)
         for p in range(3):
             gradient[p] -= g[p]
             gradient[3 + p] += turn[p]
-            row = (weight * bend[p, 0], weight * bend[p, 1], weight * bend[p, 2])
+            row = (weight * source_hessian[p, 0], weight * source_hessian[p, 1], weight * source_hessian[p, 2])
             mixed = cross(y, row)  # a row of -H [y] is y x that row of H
             for q in range(3):
                 hessian[p, q] += row[q]
@@ -231,9 +231,21 @@ def pose_derivatives(
             column = cross(
                 y,
                 (
-                    weight * (y[(q + 1) % 3] * bend[0, (q + 2) % 3] - y[(q + 2) % 3] * bend[0, (q + 1) % 3]),
-                    weight * (y[(q + 1) % 3] * bend[1, (q + 2) % 3] - y[(q + 2) % 3] * bend[1, (q + 1) % 3]),
-                    weight * (y[(q + 1) % 3] * bend[2, (q + 2) % 3] - y[(q + 2) % 3] * bend[2, (q + 1) % 3]),
+                    weight
+                    * (
+                        y[(q + 1) % 3] * source_hessian[0, (q + 2) % 3]
+                        - y[(q + 2) % 3] * source_hessian[0, (q + 1) % 3]
+                    ),
+                    weight
+                    * (
+                        y[(q + 1) % 3] * source_hessian[1, (q + 2) % 3]
+                        - y[(q + 2) % 3] * source_hessian[1, (q + 1) % 3]
+                    ),
+                    weight
+                    * (
+                        y[(q + 1) % 3] * source_hessian[2, (q + 2) % 3]
+                        - y[(q + 2) % 3] * source_hessian[2, (q + 1) % 3]
+                    ),
                 ),
             )
             for p in range(3):
@@ -251,7 +263,9 @@ def pose_derivatives(
 
 
 @kernel
-def _source_derivatives(vertices: Array, source: Array, nearest: float, slope: Array, bend: Array) -> bool:
+def _source_derivatives(
+    vertices: Array, source: Array, nearest: float, source_gradient: Array, source_hessian: Array
+) -> bool:
     """Fill gradient (3,) and Hessian (3, 3) of the flux by the source's place; False when it is on the rim.
 
     An edge from ``a`` to ``b``, as the source sees them, adds ``-n f`` to the gradient with ``n = a x b``, ``f = S / (P
@@ -259,8 +273,8 @@ def _source_derivatives(vertices: Array, source: Array, nearest: float, slope: A
     With the unit vectors' sum ``q``: ``D' = S q``, so that the derivative of ``f`` by both ends together is ``q / (P D)
     - f (P'/P + S q / D)``, and that of ``n`` along a move ``d`` is ``(a - b) x d``.
     """
-    slope[:] = 0.0
-    bend[:] = 0.0
+    source_gradient[:] = 0.0
+    source_hessian[:] = 0.0
     last = len(vertices) - 1
     ax, ay, az = vertices[last, 0] - source[0], vertices[last, 1] - source[1], vertices[last, 2] - source[2]
     la = math.sqrt(ax * ax + ay * ay + az * az)
@@ -282,23 +296,25 @@ def _source_derivatives(vertices: Array, source: Array, nearest: float, slope: A
         by_b = whole - f * (1.0 / lb + total / d)
         ua, ub = by_a / la, by_b / lb
         fx, fy, fz = ua * ax + ub * bx, ua * ay + ub * by, ua * az + ub * bz
-        slope[0] -= nx * f
-        slope[1] -= ny * f
-        slope[2] -= nz * f
-        bend[0, 0] += nx * fx
-        bend[0, 1] += nx * fy + f * ez
-        bend[0, 2] += nx * fz - f * ey
-        bend[1, 0] += ny * fx - f * ez
-        bend[1, 1] += ny * fy
-        bend[1, 2] += ny * fz + f * ex
-        bend[2, 0] += nz * fx + f * ey
-        bend[2, 1] += nz * fy - f * ex
-        bend[2, 2] += nz * fz
+        source_gradient[0] -= nx * f
+        source_gradient[1] -= ny * f
+        source_gradient[2] -= nz * f
+        source_hessian[0, 0] += nx * fx
+        source_hessian[0, 1] += nx * fy + f * ez
+        source_hessian[0, 2] += nx * fz - f * ey
+        source_hessian[1, 0] += ny * fx - f * ez
+        source_hessian[1, 1] += ny * fy
+        source_hessian[1, 2] += ny * fz + f * ex
+        source_hessian[2, 0] += nz * fx + f * ey
+        source_hessian[2, 1] += nz * fy - f * ex
+        source_hessian[2, 2] += nz * fz
         ax, ay, az, la = bx, by, bz, lb
     for p in range(3):
         for q in range(p):
-            mean = 0.5 * (bend[p, q] + bend[q, p])  # around the whole rim it is symmetric, but for rounding
-            bend[p, q], bend[q, p] = mean, mean
+            mean = 0.5 * (
+                source_hessian[p, q] + source_hessian[q, p]
+            )  # around the whole rim it is symmetric, but for rounding
+            source_hessian[p, q], source_hessian[q, p] = mean, mean
     return True
 
 

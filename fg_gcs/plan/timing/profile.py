@@ -85,7 +85,7 @@ def _averaged(
     times: Array, stretch: float, window: float, quickest: float, starts: Array, cells: Array
 ) -> tuple[Array, Array, Array]:
     count, last = len(times), len(starts) - 1
-    s, rate, growth = np.empty(count), np.empty(count), np.empty(count)
+    s, rate, s_ddot = np.empty(count), np.empty(count), np.empty(count)
     low = cells[0, 2] - 0.5 * window * cells[0, 1]
     high = cells[last, 2] + 0.5 * window * cells[last, 1]
     head, tail = 0, 0  # cells where the window ends and begins; times mostly ascend, so both are near the last ones
@@ -99,8 +99,8 @@ def _averaged(
             area, here, fast, gains = area - area0, here - here0, fast - fast0, 0.0
             here, fast, gains = area / window, here / window, fast / window
         s[i] = min(max(here, low), high)  # rounding must not leave the path
-        rate[i], growth[i] = fast / stretch, gains / (stretch * stretch)
-    return s, rate, growth
+        rate[i], s_ddot[i] = fast / stretch, gains / (stretch * stretch)
+    return s, rate, s_ddot
 
 
 @kernel

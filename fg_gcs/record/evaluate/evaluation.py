@@ -8,7 +8,7 @@ import numpy as np
 
 from fg_gcs.record.evaluate.figures import Whereabouts, figures, flown
 from fg_gcs.record.evaluate.tracking import (
-    Pursued,
+    Followed,
     commanded_steps,
     coverage_after_facing,
     estimated_centre,
@@ -28,11 +28,11 @@ def evaluate(
     return figures(series, recorder.ticks.columns(), setpoints, stages)
 
 
-def evaluate_pursuit(
+def evaluate_tracking(
     recorder: Recorder,
     stages: Mapping[str, tuple[float, float]],
     leaders: Sequence[int],
-    pursued: Pursued,
+    followed: Followed,
     acceleration_m_s2: float,
 ) -> dict[str, object]:
     """Return the flown figures of a run that tracked, those of the tracking among them.
@@ -41,14 +41,14 @@ def evaluate_pursuit(
     ids in their winding order.
     """
     tables = {name: getattr(recorder, name).columns() for name in (*TABLES, *TRACKING_TABLES)}
-    target = true_centre(tables["truth"], pursued.weights) or estimated_centre(tables["replans"])
+    target = true_centre(tables["truth"], followed.weights) or estimated_centre(tables["replans"])
     unknown = Whereabouts.standing(np.full(3, np.nan))
     series = flown(tables["telemetry"], tables["setpoints"], stages, leaders, target or unknown)
     result: dict[str, object] = {**figures(series, tables["ticks"], tables["setpoints"], stages)}
-    result |= tracking_figures(series, leaders, pursued, tables)
-    ends_s = stages["home"][1] if "home" in stages else pursued.ended_s
-    steps = commanded_steps(tables["setpoints"], (pursued.began_s, ends_s), acceleration_m_s2)
+    result |= tracking_figures(series, leaders, followed, tables)
+    ends_s = stages["home"][1] if "home" in stages else followed.ended_s
+    steps = commanded_steps(tables["setpoints"], (followed.began_s, ends_s), acceleration_m_s2)
     result |= dict(zip(("commanded_position_step_max_m", "commanded_velocity_step_max_m_s"), steps, strict=True))
-    caught_s = pursued.ended_s if pursued.caught_s is None else pursued.caught_s
-    covered = None if series is None else coverage_after_facing(series, (pursued.began_s, caught_s))
+    caught_s = followed.ended_s if followed.caught_s is None else followed.caught_s
+    covered = None if series is None else coverage_after_facing(series, (followed.began_s, caught_s))
     return result | {"coverage_min_after_facing": covered}

@@ -31,7 +31,7 @@ KEYS = (
 
 
 @dataclass(frozen=True)
-class Pursued:
+class Followed:
     """What a flight with moving targets was about; times since the start of the run."""
 
     began_s: float
@@ -93,7 +93,7 @@ def held_places(rims_enu_m: Array, leaders_m: Array, hold_depth_m: float) -> Arr
     return places
 
 
-def flown_scale(series: Flown, leaders: Sequence[int], pursued: Pursued) -> tuple[Array, Array] | None:
+def flown_scale(series: Flown, leaders: Sequence[int], followed: Followed) -> tuple[Array, Array] | None:
     """Return instants of the tracking and the flown formation's size then, times the template, (T,), (T,).
 
     None unless all leaders, system ids in their winding order, were heard.
@@ -101,12 +101,12 @@ def flown_scale(series: Flown, leaders: Sequence[int], pursued: Pursued) -> tupl
     rims = series.places_m(leaders)
     if rims is None:
         return None
-    inside = (series.time_s >= pursued.began_s) & (series.time_s <= pursued.ended_s)
-    return series.time_s[inside], fitted(rims[inside], pursued.leaders_m).scale
+    inside = (series.time_s >= followed.began_s) & (series.time_s <= followed.ended_s)
+    return series.time_s[inside], fitted(rims[inside], followed.leaders_m).scale
 
 
 def flown_error(
-    series: Flown, leaders: Sequence[int], pursued: Pursued, target: Whereabouts
+    series: Flown, leaders: Sequence[int], followed: Followed, target: Whereabouts
 ) -> tuple[Array, Array] | None:
     """Return instants of the tracking and how far the flown formation's centre was from its place then, (T,), (T,).
 
@@ -115,36 +115,36 @@ def flown_error(
     rims = series.places_m(leaders)
     if rims is None:
         return None
-    inside = (series.time_s >= pursued.began_s) & (series.time_s <= pursued.ended_s)
-    return series.time_s[inside], _error(rims[inside], series.time_s[inside], pursued, target)
+    inside = (series.time_s >= followed.began_s) & (series.time_s <= followed.ended_s)
+    return series.time_s[inside], _error(rims[inside], series.time_s[inside], followed, target)
 
 
 def commanded_error(
-    setpoints: Columns, leaders: Sequence[int], pursued: Pursued, target: Whereabouts
+    setpoints: Columns, leaders: Sequence[int], followed: Followed, target: Whereabouts
 ) -> tuple[Array, Array] | None:
     """Return the same of the setpoints; None unless all leaders got some."""
-    time_s = np.arange(pursued.began_s, pursued.ended_s, 1.0 / RATE_HZ)
+    time_s = np.arange(followed.began_s, followed.ended_s, 1.0 / RATE_HZ)
     rows = [setpoints["system_id"] == system_id for system_id in leaders]
     if not rows or not all(row.any() for row in rows):
         return None
     ways = [interpolated(time_s, setpoints["time_s"][row], setpoints["position_enu_m"][row]) for row in rows]
-    return time_s, _error(np.stack(ways, axis=1), time_s, pursued, target)
+    return time_s, _error(np.stack(ways, axis=1), time_s, followed, target)
 
 
-def found_again(time_s: Array, error_m: Array, sightings: Columns, pursued: Pursued) -> list[float | None]:
+def found_again(time_s: Array, error_m: Array, sightings: Columns, followed: Followed) -> list[float | None]:
     """Return for every loss how long after the first new sighting the error was below the capture's; None: never."""
     believed = sightings["verdict"] == list(Verdict).index(Verdict.TAKEN)
     taken, received = sightings["received_s"][believed], sightings["received_s"]
     found: list[float | None] = []
-    for last in np.flatnonzero(np.diff(taken) > pursued.lost_after_s):
+    for last in np.flatnonzero(np.diff(taken) > followed.lost_after_s):
         seen_s = float(received[received > taken[last]][0])
-        there = time_s[(time_s >= seen_s) & (error_m < pursued.capture_m)]
+        there = time_s[(time_s >= seen_s) & (error_m < followed.capture_m)]
         found.append(float(there[0] - seen_s) if len(there) else None)
     return found
 
 
 def reaction_s(replans: Columns, setpoints: Columns) -> Array:
-    """Return how long after a sighting's arrival the first setpoint of the ride planned for it left, one a ride."""
+    """Return the time from a sighting's arrival to the first setpoint of the trajectory it led to, one for each."""
     arrived, left = _reactions(replans, setpoints)
     return left - arrived
 
@@ -161,7 +161,7 @@ def latency_s(replans: Columns, setpoints: Columns, sightings: Columns) -> Array
 
 
 def _reactions(replans: Columns, setpoints: Columns) -> tuple[Array, Array]:
-    """Return when the first sighting that led to a ride came, and when its first setpoint left, one a ride."""
+    """Return when the sighting that led to each trajectory came, and when the trajectory's first setpoint left."""
     waited = np.isfinite(replans["sighted_s"]) & (replans["taken"] > 0.0)
     sighted, planned = replans["sighted_s"][waited], replans["planned_s"][waited]
     after = np.searchsorted(setpoints["time_s"], planned, side="right")
@@ -194,14 +194,14 @@ def commanded_steps(setpoints: Columns, span_s: tuple[float, float], acceleratio
 
 
 def tracking_figures(
-    series: Flown | None, leaders: Sequence[int], pursued: Pursued, tables: Mapping[str, Columns]
+    series: Flown | None, leaders: Sequence[int], followed: Followed, tables: Mapping[str, Columns]
 ) -> dict[str, object]:
     """Return the figures of the tracking by the names of the command line's JSON; None where there is nothing.
 
     Args:
         series: of the flight, with flux and coverage of the target as well as it is known.
         leaders: system ids in their winding order; figures of the formation need all of them.
-        pursued: what it was about.
+        followed: what it was about.
         tables: columns of the run's tables, by their names.
     """
     result: dict[str, object] = dict.fromkeys(KEYS)
@@ -212,27 +212,27 @@ def tracking_figures(
     latency = latency_s(tables["replans"], tables["setpoints"], tables["sightings"])
     if len(latency):
         result["stamp_to_setpoint_p99_ms"] = 1e3 * float(np.percentile(latency, 99))
-    if pursued.caught_s is not None:
-        result["capture_time_s"] = pursued.caught_s - pursued.began_s
-    truth = true_centre(tables["truth"], pursued.weights)
+    if followed.caught_s is not None:
+        result["capture_time_s"] = followed.caught_s - followed.began_s
+    truth = true_centre(tables["truth"], followed.weights)
     target = truth or estimated_centre(tables["replans"])
-    off = None if series is None or target is None else flown_error(series, leaders, pursued, target)
+    off = None if series is None or target is None else flown_error(series, leaders, followed, target)
     if series is None or off is None:
         return result
     time_s, error = off
-    result["found_again_s"] = found_again(time_s, error, tables["sightings"], pursued)
-    if pursued.caught_s is None:
+    result["found_again_s"] = found_again(time_s, error, tables["sightings"], followed)
+    if followed.caught_s is None:
         return result
-    after = (series.time_s >= pursued.caught_s) & (series.time_s <= pursued.ended_s)
+    after = (series.time_s >= followed.caught_s) & (series.time_s <= followed.ended_s)
     if after.any():
         result["flux_metric_share"] = float((series.flux_metric[after] >= HOLDING).mean())
-    settled = error[time_s >= pursued.caught_s + SETTLED_S]
+    settled = error[time_s >= followed.caught_s + SETTLED_S]
     if truth is not None and len(settled):
         result["centre_error_rms_m"] = float(np.sqrt((settled**2).mean()))
         result["centre_error_p95_m"] = float(np.percentile(settled, 95))
-        commanded = commanded_error(tables["setpoints"], leaders, pursued, truth)
+        commanded = commanded_error(tables["setpoints"], leaders, followed, truth)
         if commanded is not None:
-            told = commanded[1][commanded[0] >= pursued.caught_s + SETTLED_S]
+            told = commanded[1][commanded[0] >= followed.caught_s + SETTLED_S]
             result["centre_error_commanded_rms_m"] = float(np.sqrt((told**2).mean()))
     return result
 
@@ -244,7 +244,7 @@ def coverage_after_facing(series: Flown, span_s: tuple[float, float]) -> float |
     return float(covered[facing[0] :].min()) if len(facing) else None
 
 
-def _error(rims: Array, time_s: Array, pursued: Pursued, target: Whereabouts) -> Array:
-    places = held_places(rims, pursued.leaders_m, pursued.hold_depth_m)
+def _error(rims: Array, time_s: Array, followed: Followed, target: Whereabouts) -> Array:
+    places = held_places(rims, followed.leaders_m, followed.hold_depth_m)
     error: Array = np.linalg.norm(places - target.at(time_s), axis=1)
     return error

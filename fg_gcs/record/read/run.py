@@ -16,7 +16,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.record.evaluate.figures import Flown, Whereabouts, flown
-from fg_gcs.record.evaluate.tracking import Pursued, estimated_centre, true_centre
+from fg_gcs.record.evaluate.tracking import Followed, estimated_centre, true_centre
 from fg_gcs.record.write.recorder import EVENTS, MISSION, SUMMARY, TABLES
 from fg_gcs.record.write.table import REPLANS, SIGHTINGS, TRUTH, Columns, Table, load
 
@@ -25,7 +25,7 @@ STAMP_FORMAT, STAMP_LENGTH = "%Y-%m-%dT%H-%M-%S", 19  # how the name of a run's 
 TRACKING = (("sightings", SIGHTINGS), ("replans", REPLANS), ("truth", TRUTH))
 
 
-class Event(NamedTuple):
+class LoggedEvent(NamedTuple):
     """A line of the run's diary."""
 
     time_s: float
@@ -50,7 +50,7 @@ class Run:
     begun: datetime | None  # local time, None when the folder was renamed
     mission: Mission | None  # None when the mission file is no longer understood
     summary: dict[str, Any]
-    events: tuple[Event, ...]
+    events: tuple[LoggedEvent, ...]
     telemetry: Columns
     setpoints: Columns
     ticks: Columns
@@ -75,7 +75,7 @@ class Run:
         return None if target is None else np.array(target, dtype=float)
 
     @cached_property
-    def pursued(self) -> Pursued | None:
+    def followed(self) -> Followed | None:
         """What was tracked; None where nothing moved, or the mission file is no longer understood."""
         mission, stages = self.mission, self.stages
         if mission is None or mission.targets is None or "approach" not in stages:
@@ -83,7 +83,7 @@ class Run:
         began_s, ended_s = stages["approach"]
         taken_s = self.number("capture_time_s")
         task = mission.task()
-        return Pursued(
+        return Followed(
             began_s,
             stages.get("hold", (0.0, ended_s))[1],
             None if taken_s is None else began_s + taken_s,
@@ -97,12 +97,12 @@ class Run:
     @cached_property
     def true_target(self) -> Whereabouts | None:
         """Where the centre of moving targets truly was, if that is known."""
-        return None if self.pursued is None else true_centre(self.truth, self.pursued.weights)
+        return None if self.followed is None else true_centre(self.truth, self.followed.weights)
 
     @cached_property
     def estimated_target(self) -> Whereabouts | None:
         """Where the centre of moving targets was believed to be."""
-        return None if self.pursued is None else estimated_centre(self.replans)
+        return None if self.followed is None else estimated_centre(self.replans)
 
     @cached_property
     def series(self) -> Flown | None:
@@ -165,14 +165,14 @@ def load_run(folder: Path) -> Run:
     return Run(name or folder.name, begun, mission, summary, _events(lines), *tables, *tracking)
 
 
-def _events(lines: Sequence[str]) -> tuple[Event, ...]:
+def _events(lines: Sequence[str]) -> tuple[LoggedEvent, ...]:
     """Return the events of all whole lines; a crash may have cut the last."""
     events = []
     for line in lines:
         try:
             fields = json.loads(line)
             severity = fields.get("severity")
-            events.append(Event(float(fields["time_s"]), str(fields["kind"]), str(fields["text"]), severity))
+            events.append(LoggedEvent(float(fields["time_s"]), str(fields["kind"]), str(fields["text"]), severity))
         except (ValueError, KeyError, TypeError, AttributeError):
             continue
     return tuple(events)

@@ -8,7 +8,7 @@ from html import escape
 from itertools import groupby
 from pathlib import Path
 
-from fg_gcs.record.read.run import Event, Run, load_run
+from fg_gcs.record.read.run import LoggedEvent, Run, load_run
 from fg_gcs.record.report.charts import (
     acceleration_chart,
     face_chart,
@@ -56,9 +56,9 @@ def write_report(folder: Path) -> Path:
 
 
 def _sections(run: Run) -> Iterator[str]:
-    planned = "Planned: proven before take-off."
-    if run.pursued is not None:
-        planned = "Nothing of the chase is planned before take-off: every ride is proven before it is flown."
+    planned = "Planned: verified before take-off."
+    if run.followed is not None:
+        planned = "Nothing of the chase is planned before take-off: every trajectory is verified before it is flown."
     yield _headline(run)
     yield section(
         "What was asked, what was flown",
@@ -86,7 +86,7 @@ def _sections(run: Run) -> Iterator[str]:
 
 
 def _charts(run: Run) -> Iterator[str]:
-    if run.pursued is not None:
+    if run.followed is not None:
         yield from _tracking_charts(run)
     yield chart(
         "speed",
@@ -161,7 +161,7 @@ def _tracking_charts(run: Run) -> Iterator[str]:
         "age",
         "Age of what is known",
         age_chart(run),
-        "How old the newest sighting was whenever a ride was planned. Good: below the dashed line, from which on the "
+        "How old the newest sighting was whenever a trajectory was planned. Good: below the dashed line; above it the "
         "target counts as lost.",
     )
 
@@ -187,7 +187,7 @@ def _headline(run: Run) -> str:
 
 
 def _figures(run: Run) -> Iterator[Row]:
-    number, moves = run.number, run.pursued is not None
+    number, moves = run.number, run.followed is not None
     vehicles, landed = _vehicles(run), number("vehicles_landed")
     everybody = None if vehicles is None or landed is None else landed == vehicles
     yield _row("Vehicles landed and disarmed", _text(vehicles, "", 0), "", _landed(run), everybody)
@@ -204,7 +204,7 @@ def _figures(run: Run) -> Iterator[Row]:
     yield _row("Flux metric at the hold (1 is best)", "", planned, held)
     yield _row("Tracking error, root mean square", "", "", _text(number("tracking_rms_m"), "m", 3))
     yield _row("Tracking error, largest", "", "", _text(number("tracking_max_m"), "m", 3))
-    if run.pursued is not None:
+    if run.followed is not None:
         yield from _tracking_figures(run)
     rate, asked = number("setpoint_rate_hz"), None if run.mission is None else run.mission.stream.rate_hz
     often = None if rate is None or asked is None else rate >= asked * (1.0 - RATE_SLACK)
@@ -221,7 +221,7 @@ def _tracking_figures(run: Run) -> Iterator[Row]:
         ("Centre off the true target, 95 % of the time below", "centre_error_p95_m", "m", 2),
         ("Share of the time after the capture with a flux metric of 0.9", "flux_metric_share", "", 3),
         ("Smallest coverage on the way, once it faces the target", "coverage_min_after_facing", "", 3),
-        ("Rides planned", "replans", "", 0),
+        ("Trajectories planned", "replans", "", 0),
         ("Planning one, 99 % of them in less than", "replan_p99_ms", "ms", 1),
         ("From a sighting's arrival to its setpoint, 99 % in less than", "sensed_to_setpoint_p99_ms", "ms", 1),
         ("From a sighting's stamp to its setpoint, 99 % in less than", "stamp_to_setpoint_p99_ms", "ms", 1),
@@ -272,7 +272,7 @@ def _timings(run: Run) -> str:
     return f'<div class="columns">{"".join(f"<div>{column}</div>" for column in columns)}</div>'
 
 
-def _events(events: Sequence[Event]) -> Iterator[Row]:
+def _events(events: Sequence[LoggedEvent]) -> Iterator[Row]:
     """Yield the diary's rows: what matters in colour, and what many vehicles say at once in one row."""
     told = [event for event in events if event.kind not in QUIET]
     rows = [row for _, group in groupby(told, _gist) for row in _told(list(group))]
@@ -281,12 +281,12 @@ def _events(events: Sequence[Event]) -> Iterator[Row]:
         yield Row(("", "", f"and {len(rows) - MOST_EVENTS} more in events.jsonl"))
 
 
-def _gist(event: Event) -> tuple[str, str]:
+def _gist(event: LoggedEvent) -> tuple[str, str]:
     said = SAID_BY_VEHICLE.fullmatch(event.text)
     return event.kind, said[2] if said else event.text
 
 
-def _told(events: Sequence[Event]) -> Iterator[Row]:
+def _told(events: Sequence[LoggedEvent]) -> Iterator[Row]:
     """Yield rows for events of the same kind and words, one for those that came within a second."""
     while events:
         first = events[0]
@@ -298,7 +298,7 @@ def _told(events: Sequence[Event]) -> Iterator[Row]:
         events = events[len(together) :]
 
 
-def _weight(event: Event) -> str:
+def _weight(event: LoggedEvent) -> str:
     severity = event.severity if isinstance(event.severity, int) else ERROR + WARNING
     if event.kind in ("fault", "abort", "error") or severity <= ERROR:
         return "fault"

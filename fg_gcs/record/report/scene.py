@@ -176,7 +176,7 @@ def _add_target(figure: go.Figure, run: Run) -> list[Array]:
     """Draw the target, and where it went if it moved; return the places of that."""
     if run.target_enu_m is None:
         return []
-    moves = run.pursued is not None
+    moves = run.followed is not None
     name = "target at first" if moves else "target"
     _add_points(figure, run.target_enu_m[None], name, TARGET_COLOUR, "diamond", 7)
     places = [run.target_enu_m[None]]

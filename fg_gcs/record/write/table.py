@@ -44,7 +44,7 @@ REPLANS: dict[str, int] = {
     "sighted_s": 1,  # when the oldest sighting came that had waited for it; NaN: none had
     "planned_s": 1,  # when it was done; in virtual time that is the same
     "mode": 1,  # index among those of fg_gcs.track.follow.replanner.Mode
-    "taken": 1,  # 1: there is a new ride, 0: the one before goes on
+    "taken": 1,  # 1: there is a new trajectory, 0: the one before goes on
     "position_enu_m": 3,  # the targets' centre by the estimate
     "velocity_enu_m_s": 3,
     "age_s": 1,  # of the estimate

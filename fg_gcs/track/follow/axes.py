@@ -24,7 +24,7 @@ SHOWN = np.array([1e-3, *(np.arange(1, 32) / 32), 1.0 - 1e-3])
 
 
 class Bounds(NamedTuple):
-    """What each of D joints keeps, each of shape (D,)."""
+    """What each of D axes keeps, each of shape (D,)."""
 
     lowest_velocity: Array
     highest_velocity: Array
@@ -41,8 +41,8 @@ class Bounds(NamedTuple):
         )
 
 
-class Joints:
-    """D joints over time: state-to-state motions one after the other; before and after they go on straight."""
+class Axes:
+    """D axes over time: state-to-state motions one after the other; before and after they go on straight."""
 
     def __init__(self, start_s: float, start: Array) -> None:
         """Begin at a time [s] with a state, shape (3, D): position, velocity, acceleration."""
@@ -171,9 +171,9 @@ def _after(phase: tuple[float, ...], time_s: float) -> tuple[float, ...]:
 @kernel
 def _states(table: Array, times: Array) -> Array:
     """States, (T, 3, D), by phases, (D, P, 8): valid from, start, and six powers, lowest first."""
-    joints, phases = table.shape[0], table.shape[1]
-    states = np.empty((len(times), 3, joints))
-    for d in range(joints):
+    axes, phases = table.shape[0], table.shape[1]
+    states = np.empty((len(times), 3, axes))
+    for d in range(axes):
         phase = 0
         for i in range(len(times)):
             while phase < phases - 1 and times[i] >= table[d, phase + 1, 0]:

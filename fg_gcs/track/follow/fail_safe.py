@@ -1,7 +1,7 @@
 """Motions of a whole formation that are known to their end: every one of them comes to rest by itself.
 
-A ride is made once, proven once, and then only read: when nothing newer comes, it is flown to its end, and that is
-safe. What tracks a target replaces the present ride by a newer one that starts in the same state.
+A trajectory is made once, verified once, and then only read: when nothing newer comes, it is flown to its end, and
+that is safe. What tracks a target replaces the present trajectory by a newer one that starts in the same state.
 """
 
 from __future__ import annotations
@@ -13,25 +13,27 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
 from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.trajectory import Peaks, look
-from fg_gcs.track.follow.axes import Joints
-from fg_gcs.track.follow.formation_frames import JOINTS, Frames, State, frames_of, state_of
+from fg_gcs.plan.trajectory import Peaks, extrema
+from fg_gcs.track.follow.axes import Axes
+from fg_gcs.track.follow.formation_frames import AXES, Frames, State, frames_of, state_of
 
-PROOF_S = 0.04  # between instants of the proof, besides the joints' seams: speeds bend by centimetres a second
-RESERVE = 1.008  # what lies between the instants of the proof may exceed them by
+VERIFIED_EVERY_S = (
+    0.04  # between instants of the verification, besides the axes' seams: speeds bend by centimetres a second
+)
+RESERVE = 1.008  # what lies between the instants of the verification may exceed them by
 ROUNDING = 1e-9  # of scales that are computed; the separation itself is a round number
 
 
-class Ride:
+class FailSafeTrajectory:
     """A formation's motion from ``start_s`` on; before it is not asked for, after ``end_s`` the formation rests."""
 
-    def __init__(self, attitude: Array, moving: Joints, turning: Joints, axes: Array) -> None:
-        """Take joints over time.
+    def __init__(self, attitude: Array, moving: Axes, turning: Axes, axes: Array) -> None:
+        """Take axes over time.
 
         Args:
             attitude: template axes to ENU that turns count from, shape (3, 3).
-            moving: the centre's three joints; they end at rest.
-            turning: rotation vector and scale, four joints; likewise.
+            moving: the centre's three axes; they end at rest.
+            turning: rotation vector and scale, four axes; likewise.
             axes: along which the centre moves, one a column, shape (3, 3) [ENU].
         """
         self._attitude, self._axes = attitude, axes
@@ -40,18 +42,18 @@ class Ride:
         self._moving, self._turning = moving, turning
 
     @classmethod
-    def resting(cls, pose: Pose, start_s: float) -> Ride:
+    def resting(cls, pose: Pose, start_s: float) -> FailSafeTrajectory:
         """Stay in a pose."""
-        turn = np.zeros((3, JOINTS - 3))
+        turn = np.zeros((3, AXES - 3))
         turn[0, 3] = pose.scale
         centre = np.zeros((3, 3))
         centre[0] = pose.centre_enu_m
-        return cls(np.asarray(pose.rotation), Joints(start_s, centre), Joints(start_s, turn), np.eye(3))
+        return cls(np.asarray(pose.rotation), Axes(start_s, centre), Axes(start_s, turn), np.eye(3))
 
     def frames(self, time_s: Array) -> Frames:
         """Return the formation's frame at times, shape (T,) [s]."""
-        joints = np.concatenate((self._moving.at(time_s) @ self._axes.T, self._turning.at(time_s)), axis=2)
-        return frames_of(joints, self._attitude)
+        axes = np.concatenate((self._moving.at(time_s) @ self._axes.T, self._turning.at(time_s)), axis=2)
+        return frames_of(axes, self._attitude)
 
     def state(self, time_s: float) -> State:
         """Return the formation's state at one instant [s]."""
@@ -60,12 +62,12 @@ class Ride:
     @property
     def instants_s(self) -> Array:
         """Instants from start to end that show all of it, ascending [s]."""
-        even = np.arange(self.start_s, self.end_s, PROOF_S)
+        even = np.arange(self.start_s, self.end_s, VERIFIED_EVERY_S)
         return np.unique(np.concatenate((even, self._moving.seams_s, self._turning.seams_s, [self.end_s])))
 
 
-class Proof(NamedTuple):
-    """What a dense look at a ride finds."""
+class Verification(NamedTuple):
+    """What a dense look at a trajectory finds."""
 
     peaks: Peaks
     outside_m: float  # by how much a vehicle leaves the fence, negative inside
@@ -74,7 +76,7 @@ class Proof(NamedTuple):
     def keeps(self, rules: Rules, smallest_m: float) -> bool:
         """Say whether the rules hold; ``smallest_m`` is the smallest distance in the template [m].
 
-        Jerk is bounded joint by joint when a ride is made.
+        Jerk is bounded joint by joint when a trajectory is made.
         """
         limits, peaks = rules.limits, self.peaks
         return (
@@ -88,18 +90,18 @@ class Proof(NamedTuple):
         )
 
 
-def prove(ride: Ride, outline_m: Array, rules: Rules) -> Proof:
-    """Look at a ride from its start to its end.
+def verify(trajectory: FailSafeTrajectory, outline_m: Array, rules: Rules) -> Verification:
+    """Look at a trajectory from its start to its end.
 
     Args:
-        ride: the ride.
+        trajectory: the trajectory.
         outline_m: slots, or points that enclose them: speeds and accelerations are convex in the slot, (P, 3) [m].
         rules: whose fence counts.
     """
-    time_s = ride.instants_s
-    frames = ride.frames(time_s)
+    time_s = trajectory.instants_s
+    frames = trajectory.frames(time_s)
     peaks, low, high = np.zeros(len(Peaks._fields)), np.full(3, np.inf), np.full(3, -np.inf)
     steady = np.ones(len(time_s)), np.zeros(len(time_s))  # time is its own parameter
-    look(*frames.swarm(outline_m), *steady, time_s, peaks, low, high)
+    extrema(*frames.swarm(outline_m), *steady, time_s, peaks, low, high)
     outside_m = float(rules.fence.excess_m(np.stack((low, high))).max())
-    return Proof(Peaks(*(RESERVE * peaks).tolist()), outside_m, float(frames.scale.min()))
+    return Verification(Peaks(*(RESERVE * peaks).tolist()), outside_m, float(frames.scale.min()))

@@ -14,7 +14,7 @@ from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.plan.path.splines import cross, turning
 
-JOINTS = 7  # what a frame can do: move (3), turn (3, as a rotation vector from a given attitude), change its scale
+AXES = 7  # what a frame can do: move (3), turn (3, as a rotation vector from a given attitude), change its scale
 
 
 class Frames(NamedTuple):
@@ -35,10 +35,10 @@ class Frames(NamedTuple):
 
 
 class State(NamedTuple):
-    """The frame at one instant in the terms of its joints."""
+    """The frame at one instant in the terms of its axes."""
 
     attitude: Array  # (3, 3) template axes to ENU
-    joints: Array  # (3, 7) derivatives by rows: centre, turn from that attitude (so zero in row 0), scale
+    axes: Array  # (3, 7) derivatives by rows: centre, turn from that attitude (so zero in row 0), scale
 
 
 def state_of(frames: Frames) -> State:
@@ -53,21 +53,21 @@ def state_of(frames: Frames) -> State:
     once, twice = first @ inverse, second @ inverse
     rate = _axis(once)
     share = float(np.trace(once)) / 3.0
-    joints = np.zeros((3, JOINTS))
-    joints[:, :3] = frames.centre[0]
-    joints[1, 3:6] = rate
-    joints[2, 3:6] = _axis(twice) - 2.0 * share * rate
-    joints[0, 6] = scale
-    joints[1, 6] = share * scale
-    joints[2, 6] = scale * (float(np.trace(twice)) + 2.0 * float(rate @ rate)) / 3.0
-    return State(arms / scale, joints)
+    axes = np.zeros((3, AXES))
+    axes[:, :3] = frames.centre[0]
+    axes[1, 3:6] = rate
+    axes[2, 3:6] = _axis(twice) - 2.0 * share * rate
+    axes[0, 6] = scale
+    axes[1, 6] = share * scale
+    axes[2, 6] = scale * (float(np.trace(twice)) + 2.0 * float(rate @ rate)) / 3.0
+    return State(arms / scale, axes)
 
 
-def frames_of(joints: Array, attitude: Array) -> Frames:
-    """Return the frames of joints over time, shape (T, 3, 7), that turn from an attitude, shape (3, 3)."""
-    arms = np.empty((len(joints), 3, 3, 3))
-    _turned(joints, arms)
-    return Frames(np.ascontiguousarray(joints[:, :, :3]), arms @ attitude)
+def frames_of(axes: Array, attitude: Array) -> Frames:
+    """Return the frames of axes over time, shape (T, 3, 7), that turn from an attitude, shape (3, 3)."""
+    arms = np.empty((len(axes), 3, 3, 3))
+    _turned(axes, arms)
+    return Frames(np.ascontiguousarray(axes[:, :, :3]), arms @ attitude)
 
 
 def _axis(matrix: Array) -> Array:
@@ -92,18 +92,18 @@ def _swarm(centre: Array, arms: Array, slots: Array) -> tuple[Array, Array, Arra
 
 
 @kernel
-def _turned(joints: Array, arms: Array) -> None:
+def _turned(axes: Array, arms: Array) -> None:
     """Fill ``arms``, (T, 3, 3, 3), with scale times rotation and its derivatives.
 
     A turn by the rotation vector ``f`` has the rate ``w = f' + b f x f' + d f x (f x f')``, see
     :func:`fg_gcs.plan.path.splines.turning`; ``w'`` is the derivative of that.
     """
     swing, bend = np.empty((3, 3)), np.empty((3, 3))
-    for i in range(len(joints)):
-        f = (joints[i, 0, 3], joints[i, 0, 4], joints[i, 0, 5])
-        f1 = (joints[i, 1, 3], joints[i, 1, 4], joints[i, 1, 5])
-        f2 = (joints[i, 2, 3], joints[i, 2, 4], joints[i, 2, 5])
-        k0, k1, k2 = joints[i, 0, 6], joints[i, 1, 6], joints[i, 2, 6]
+    for i in range(len(axes)):
+        f = (axes[i, 0, 3], axes[i, 0, 4], axes[i, 0, 5])
+        f1 = (axes[i, 1, 3], axes[i, 1, 4], axes[i, 1, 5])
+        f2 = (axes[i, 2, 3], axes[i, 2, 4], axes[i, 2, 5])
+        k0, k1, k2 = axes[i, 0, 6], axes[i, 1, 6], axes[i, 2, 6]
         x, y, z = f
         s, b, d, b1, d1 = turning(x * x + y * y + z * z)
         slope = 2.0 * (x * f1[0] + y * f1[1] + z * f1[2])

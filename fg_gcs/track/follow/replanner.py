@@ -1,9 +1,10 @@
-"""The inner loop: from the present ride and what is known of the target to the next ride, within all limits.
+"""The inner loop: from the present trajectory and what is known of the target to the next one, within all limits.
 
 The flux says how the face has to stand: towards the target, by the same search that plans to a target at rest. The
 centre goes state to state, with bounded jerk, to the place around the target where and when it will be met, at the
-target's own velocity then. A face that looks away turns on the spot first. Every candidate is proven before it is
-taken, from its start to the rest that it ends in; when none holds, the present ride goes on, and that one was proven.
+target's own velocity then. A face that looks away turns on the spot first. Every candidate is verified before it is
+taken, from its start to the rest that it ends in; when none holds, the present trajectory goes on: that one was
+verified.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from fg_gcs.plan.flux_guided import plan_path
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.path.rigid_path import outline_of
 from fg_gcs.track.estimate.imm import Prediction
-from fg_gcs.track.follow.axes import Bounds, Joints
-from fg_gcs.track.follow.fail_safe import Ride, prove
+from fg_gcs.track.follow.axes import Axes, Bounds
+from fg_gcs.track.follow.fail_safe import FailSafeTrajectory, verify
 from fg_gcs.track.follow.formation_frames import State
 
 Shares = tuple[float, float, float]
@@ -52,7 +53,7 @@ RUN_ON_S, SHORTLY_S, WORTH_S = 8.0, 2.0, 0.5
 PIECE_S = 1.5  # of a prediction: a polynomial of fifth degree follows it to the millimetre
 
 
-class Effort(NamedTuple):
+class LimitShares(NamedTuple):
     """How hard to try; shares of the limits, which at the outermost vehicle add up for move and turn."""
 
     move: float
@@ -60,9 +61,14 @@ class Effort(NamedTuple):
     run_on_s: float = 0.0  # how long to go on at the target's velocity before braking
 
 
-EFFORTS = (Effort(0.85, 0.15, 1.0), Effort(0.7, 0.2, 0.5), Effort(0.5, 0.2, 0.2), Effort(0.3, 0.1, 0.0))
-ON_THE_SPOT = (Effort(0.9, 0.6), Effort(0.7, 0.3), Effort(0.4, 0.15))
-JOINED = Effort(0.7, 0.15)  # what follows a smooth join
+EFFORTS = (
+    LimitShares(0.85, 0.15, 1.0),
+    LimitShares(0.7, 0.2, 0.5),
+    LimitShares(0.5, 0.2, 0.2),
+    LimitShares(0.3, 0.1, 0.0),
+)
+ON_THE_SPOT = (LimitShares(0.9, 0.6), LimitShares(0.7, 0.3), LimitShares(0.4, 0.15))
+JOINED = LimitShares(0.7, 0.15)  # what follows a smooth join
 GROWTH = 0.15  # share of the limits that growing may take at the outermost vehicle
 
 FAR_RADII = 1.5  # beyond this many radii the way to the target has a direction
@@ -93,7 +99,7 @@ class Goal(NamedTuple):
         return self._replace(prediction=Prediction.straight(self.prediction.time_s, now[0], speed_m_s / speed * now[1]))
 
 
-class Mode(Enum):
+class FollowMode(Enum):
     """What the inner loop is doing."""
 
     WAIT = "waiting for the target"
@@ -105,14 +111,14 @@ class Mode(Enum):
 class Replan(NamedTuple):
     """What a look at the target led to."""
 
-    ride: Ride
-    mode: Mode
-    taken: bool  # False: no candidate held, the ride is the one before
+    trajectory: FailSafeTrajectory
+    mode: FollowMode
+    taken: bool  # False: no candidate held, the trajectory is the one before
 
 
 @dataclass(frozen=True)
 class Swarm:
-    """What rides are made for; row v of the slots belongs to vehicle v."""
+    """What trajectories are made for; row v of the slots belongs to vehicle v."""
 
     formation: Formation
     slots_m: Array  # (V, 3) [m; template]
@@ -121,17 +127,17 @@ class Swarm:
 
 
 class Replanner:
-    """Makes rides.
+    """Makes trajectories.
 
     Attributes:
-        ride: the present one.
+        trajectory: the present one.
         mode: what it does.
     """
 
     def __init__(self, swarm: Swarm, start: Pose, start_s: float) -> None:
         """Rest at a pose from a time on [s]."""
-        self.ride = Ride.resting(start, start_s)
-        self.mode = Mode.WAIT
+        self.trajectory = FailSafeTrajectory.resting(start, start_s)
+        self.mode = FollowMode.WAIT
         self._swarm = swarm
         self._jerk_m_s3 = min(swarm.rules.limits.jerk_m_s3, JERK_M_S3)
         self._outline_m = outline_of(swarm.slots_m)
@@ -142,104 +148,106 @@ class Replanner:
         """Say whether the target is faster than the formation can follow."""
         return float(np.linalg.norm(goal.at(goal.prediction.time_s)[1])) > FASTEST * self._swarm.rules.limits.speed_m_s
 
-    def look(self, goal: Goal, now_s: float) -> Replan:
-        """Take the best new ride from ``now_s`` on, if there is one.
+    def replan(self, goal: Goal, now_s: float) -> Replan:
+        """Take the best new trajectory from ``now_s`` on, if there is one.
 
         A target that is faster than the formation may be is chased: aimed at as if it were just as fast.
         """
-        return next(replan for replan in self.looking(goal, now_s) if replan is not None)
+        return next(replan for replan in self.replanning(goal, now_s) if replan is not None)
 
-    def looking(self, goal: Goal, now_s: float) -> Iterator[Replan | None]:
+    def replanning(self, goal: Goal, now_s: float) -> Iterator[Replan | None]:
         """Do the same in steps: yield None after each that led to nothing yet, and what it led to in the end.
 
         Nothing has changed before that, so it may be given up at any step.
         """
         goal = goal.slowed(FASTEST * self._swarm.rules.limits.speed_m_s)
-        state = self.ride.state(now_s)
+        state = self.trajectory.state(now_s)
         attitude = self._guided(state, goal.at(now_s)[0])
-        if self.mode is not Mode.FOLLOW and not self._facing(state, goal.at(now_s)[0]):
+        if self.mode is not FollowMode.FOLLOW and not self._facing(state, goal.at(now_s)[0]):
             yield None
-            ride = self._stopped(state, attitude, goal.scale, now_s)
-            yield self._taken(ride, Mode.TURN)
+            trajectory = self._stopped(state, attitude, goal.scale, now_s)
+            yield self._taken(trajectory, FollowMode.TURN)
             return
         run_on_s = max(RUN_ON_S - goal.age_s, 0.0)
         for takes_s in SMOOTH_S:
             yield None
-            ride = self._joined(state, attitude, goal, now_s, takes_s, min(SHORTLY_S, run_on_s))
-            if ride is not None and self._holds(ride):
+            trajectory = self._joined(state, attitude, goal, now_s, takes_s, min(SHORTLY_S, run_on_s))
+            if trajectory is not None and self._holds(trajectory):
                 yield None
                 longer = self._joined(state, attitude, goal, now_s, takes_s, run_on_s)
-                yield self._taken(longer if longer is not None and self._holds(longer) else ride, Mode.FOLLOW)
+                yield self._taken(
+                    longer if longer is not None and self._holds(longer) else trajectory, FollowMode.FOLLOW
+                )
                 return
-        for effort in dict.fromkeys((*(self._swinging(state, each) for each in EFFORTS), *EFFORTS)):
+        for limit_shares in dict.fromkeys((*(self._swinging(state, each) for each in EFFORTS), *EFFORTS)):
             yield None
-            ride = self._met(state, attitude, goal, now_s, effort)
-            if ride is not None and self._holds(ride):
-                yield self._taken(ride, Mode.APPROACH)
+            trajectory = self._met(state, attitude, goal, now_s, limit_shares)
+            if trajectory is not None and self._holds(trajectory):
+                yield self._taken(trajectory, FollowMode.APPROACH)
                 return
         yield self._taken(None, self.mode)
 
     def wait(self, scale: float, now_s: float) -> Replan:
-        """Come to rest where the present ride does, and change the formation's size there."""
-        state = self.ride.state(max(now_s, self.ride.end_s))
-        if now_s < self.ride.end_s or abs(scale - state.joints[0, 6]) < SAME_SCALE:
-            return Replan(self.ride, self.mode, taken=False)
-        return self._taken(self._stopped(state, state.attitude, scale, now_s), Mode.WAIT)
+        """Come to rest where the present trajectory does, and change the formation's size there."""
+        state = self.trajectory.state(max(now_s, self.trajectory.end_s))
+        if now_s < self.trajectory.end_s or abs(scale - state.axes[0, 6]) < SAME_SCALE:
+            return Replan(self.trajectory, self.mode, taken=False)
+        return self._taken(self._stopped(state, state.attitude, scale, now_s), FollowMode.WAIT)
 
     def stop(self, now_s: float) -> Replan:
         """Come to rest as soon as the limits allow."""
-        state = self.ride.state(now_s)
-        return self._taken(self._stopped(state, state.attitude, float(state.joints[0, 6]), now_s), Mode.WAIT)
+        state = self.trajectory.state(now_s)
+        return self._taken(self._stopped(state, state.attitude, float(state.axes[0, 6]), now_s), FollowMode.WAIT)
 
-    def _taken(self, ride: Ride | None, mode: Mode) -> Replan:
-        if ride is None:
-            return Replan(self.ride, self.mode, taken=False)
-        self.ride, self.mode = ride, mode
-        return Replan(ride, mode, taken=True)
+    def _taken(self, trajectory: FailSafeTrajectory | None, mode: FollowMode) -> Replan:
+        if trajectory is None:
+            return Replan(self.trajectory, self.mode, taken=False)
+        self.trajectory, self.mode = trajectory, mode
+        return Replan(trajectory, mode, taken=True)
 
     def _guided(self, state: State, target_m: Array) -> Array:
         """Return the attitude that the flux turns the face to on its way to the target, shape (3, 3)."""
-        pose = Pose(state.joints[0, :3], state.attitude, float(state.joints[0, 6]))
+        pose = Pose(state.axes[0, :3], state.attitude, float(state.axes[0, 6]))
         try:
             return plan_path(self._swarm.formation, pose, target_m, self._swarm.hold_depth_m).poses[-1].rotation
         except PlanError:  # on the rim just now: the next sighting has it elsewhere
             return state.attitude
 
     def _facing(self, state: State, target_m: Array) -> bool:
-        way = target_m - state.joints[0, :3]
+        way = target_m - state.axes[0, :3]
         distance = float(np.linalg.norm(way))
-        radius_m = self._reach_m * float(state.joints[0, 6])
+        radius_m = self._reach_m * float(state.axes[0, 6])
         push = EFFORTS[0].turn * self._swarm.rules.limits.acceleration_m_s2 / max(radius_m, CLOSEST_M)
-        swings = float((state.joints[1, 3:6] ** 2).sum()) > 2.0 * push * SWING
+        swings = float((state.axes[1, 3:6] ** 2).sum()) > 2.0 * push * SWING
         faces = float(way @ state.attitude[:, 0]) > FACING * distance
-        return distance < BESIDE_RADII * radius_m or (faces and not (swings and self.mode is Mode.TURN))
+        return distance < BESIDE_RADII * radius_m or (faces and not (swings and self.mode is FollowMode.TURN))
 
-    def _stopped(self, state: State, attitude: Array, scale: float, now_s: float) -> Ride | None:
-        """Return the ride that soonest rests with another attitude and scale, if one holds."""
-        axes = _axes(state.joints[1, :3])
+    def _stopped(self, state: State, attitude: Array, scale: float, now_s: float) -> FailSafeTrajectory | None:
+        """Return the trajectory that soonest rests with another attitude and scale, if one holds."""
+        axes = _axes(state.axes[1, :3])
         limits = self._swarm.rules.limits
         upright_rad_s = UPRIGHT * min(limits.climb_m_s, limits.descent_m_s) / self._arm_m(state, scale)
-        rides = []
-        for effort, fastest_rad_s in product(ON_THE_SPOT, (np.inf, upright_rad_s)):
-            moving = Joints(now_s, state.joints[:, :3] @ axes)
-            turning = self._turning(state, attitude, scale, now_s, effort.turn, 0.0, fastest_rad_s)
-            if turning is not None and moving.to_velocity(np.zeros(3), self._bounds(axes, effort, ALONG)):
-                rides.append(Ride(state.attitude, moving, turning, axes))
-        soonest = sorted(rides, key=lambda ride: ride.end_s)
-        return next((ride for ride in soonest if self._holds(ride)), None)
+        trajectories = []
+        for limit_shares, fastest_rad_s in product(ON_THE_SPOT, (np.inf, upright_rad_s)):
+            moving = Axes(now_s, state.axes[:, :3] @ axes)
+            turning = self._turning(state, attitude, scale, now_s, limit_shares.turn, 0.0, fastest_rad_s)
+            if turning is not None and moving.to_velocity(np.zeros(3), self._bounds(axes, limit_shares, ALONG)):
+                trajectories.append(FailSafeTrajectory(state.attitude, moving, turning, axes))
+        soonest = sorted(trajectories, key=lambda trajectory: trajectory.end_s)
+        return next((trajectory for trajectory in soonest if self._holds(trajectory)), None)
 
     def _joined(
         self, state: State, attitude: Array, goal: Goal, now_s: float, takes_s: float, run_on_s: float
-    ) -> Ride | None:
-        """Return a ride that joins the target smoothly in a given time, goes on with it for a while and brakes."""
+    ) -> FailSafeTrajectory | None:
+        """Return a trajectory that joins the target smoothly in a given time, stays with it for a while and brakes."""
         hold_m = self._swarm.hold_depth_m * attitude[:, 0]
         met = self._within(goal.at(now_s + takes_s), hold_m, goal.scale)
-        if np.linalg.norm(met[0] - state.joints[0, :3]) > takes_s * self._swarm.rules.limits.speed_m_s:
+        if np.linalg.norm(met[0] - state.axes[0, :3]) > takes_s * self._swarm.rules.limits.speed_m_s:
             return None  # too far for anybody
-        axes, effort = np.eye(3), self._swinging(state, JOINED)
-        bounds = self._bounds(axes, effort, ACROSS)
-        moving = Joints(now_s, state.joints[:, :3])
-        turning = self._turning(state, attitude, goal.scale, now_s, effort.turn, TURN_S)
+        axes, limit_shares = np.eye(3), self._swinging(state, JOINED)
+        bounds = self._bounds(axes, limit_shares, ACROSS)
+        moving = Axes(now_s, state.axes[:, :3])
+        turning = self._turning(state, attitude, goal.scale, now_s, limit_shares.turn, TURN_S)
         if moving.smoothly(met, takes_s) > self._swarm.rules.limits.jerk_m_s3:
             return None
         while moving.end_s < now_s + run_on_s:  # along the prediction, piece by piece
@@ -248,22 +256,24 @@ class Replanner:
             return None
         if not moving.to_velocity(np.zeros(3), bounds):
             return None
-        return Ride(state.attitude, moving, turning, axes)
+        return FailSafeTrajectory(state.attitude, moving, turning, axes)
 
-    def _met(self, state: State, attitude: Array, goal: Goal, now_s: float, effort: Effort) -> Ride | None:
-        """Return a ride that meets the target, goes on with it for a while and brakes."""
+    def _met(
+        self, state: State, attitude: Array, goal: Goal, now_s: float, limit_shares: LimitShares
+    ) -> FailSafeTrajectory | None:
+        """Return a trajectory that meets the target, goes on with it for a while and brakes."""
         hold_m = self._swarm.hold_depth_m * attitude[:, 0]
         axes, shares, gently = self._directions(state, goal, hold_m, now_s)
-        bounds = self._bounds(axes, effort, shares)
+        bounds = self._bounds(axes, limit_shares, shares)
         bounds.lowest_acceleration[0] *= gently
-        turning = self._turning(state, attitude, goal.scale, now_s, effort.turn, TURN_S)
+        turning = self._turning(state, attitude, goal.scale, now_s, limit_shares.turn, TURN_S)
         if turning is None:
             return None
         given_s = FIRST_S
         for _ in range(ROUNDS):
             met = self._within(goal.at(now_s + min(given_s, HORIZON_S)), hold_m, goal.scale) @ axes
             met[2] = np.clip(met[2], 0.5 * bounds.lowest_acceleration, 0.5 * bounds.highest_acceleration)
-            moving = Joints(now_s, state.joints[:, :3] @ axes)
+            moving = Axes(now_s, state.axes[:, :3] @ axes)
             if not moving.to(met, bounds.reaching(met)):
                 return None
             late_s = moving.end_s - now_s - given_s
@@ -274,10 +284,10 @@ class Replanner:
         # The target's acceleration fades, it is not followed for ever
         if not moving.to_velocity(moving.end[1], bounds.reaching(moving.end)):
             return None
-        moving.straight_on(meets_s + effort.run_on_s)
+        moving.straight_on(meets_s + limit_shares.run_on_s)
         if not moving.to_velocity(np.zeros(3), bounds):
             return None
-        return Ride(state.attitude, moving, turning, axes)
+        return FailSafeTrajectory(state.attitude, moving, turning, axes)
 
     def _directions(
         self, state: State, goal: Goal, hold_m: Array, now_s: float
@@ -288,7 +298,7 @@ class Replanner:
         do as predicted. A large change of velocity has one, too.
         """
         target = goal.at(now_s)
-        way, change = target[0] + hold_m - state.joints[0, :3], target[1] - state.joints[1, :3]
+        way, change = target[0] + hold_m - state.axes[0, :3], target[1] - state.axes[1, :3]
         distance_m, gap_m_s = float(np.linalg.norm(way)), float(np.linalg.norm(change))
         hardest = ALONG[1][0] * self._swarm.rules.limits.acceleration_m_s2
         if distance_m > FAR_RADII * self._reach_m * goal.scale:
@@ -302,13 +312,13 @@ class Replanner:
 
     def _arm_m(self, state: State, scale: float) -> float:
         """Return how far from the centre a vehicle is at most on the way to a scale [m]."""
-        return max(self._reach_m * max(float(state.joints[0, 6]), scale), CLOSEST_M)
+        return max(self._reach_m * max(float(state.axes[0, 6]), scale), CLOSEST_M)
 
-    def _swinging(self, state: State, effort: Effort) -> Effort:
+    def _swinging(self, state: State, limit_shares: LimitShares) -> LimitShares:
         """Return an effort that turns at least as hard as the formation does now: or the turn would swing past."""
-        pull = float(np.linalg.norm(state.joints[2, 3:6])) * self._arm_m(state, 0.0)
+        pull = float(np.linalg.norm(state.axes[2, 3:6])) * self._arm_m(state, 0.0)
         present = pull / self._swarm.rules.limits.acceleration_m_s2
-        return effort._replace(turn=max(effort.turn, min(present, ON_THE_SPOT[0].turn)))
+        return limit_shares._replace(turn=max(limit_shares.turn, min(present, ON_THE_SPOT[0].turn)))
 
     def _turning(
         self,
@@ -319,14 +329,14 @@ class Replanner:
         share: float,
         least_s: float,
         fastest_rad_s: float = np.inf,
-    ) -> Joints | None:
-        """Return the joints that take up attitude and scale as fast as their share of the limits allows."""
+    ) -> Axes | None:
+        """Return the axes that take up attitude and scale as fast as their share of the limits allows."""
         arm_m = self._arm_m(state, scale)
         limits = self._swarm.rules.limits
         per_joint = np.array([share / arm_m] * 3 + [GROWTH / self._reach_m])
         speed, jerk = limits.speed_m_s * per_joint, self._jerk_m_s3 * per_joint
         speed[:3] = np.minimum(speed[:3], fastest_rad_s)
-        turning = Joints(now_s, state.joints[:, 3:])
+        turning = Axes(now_s, state.axes[:, 3:])
         goal = np.zeros((3, 4))
         goal[0, :3] = Rotation.from_matrix(attitude @ state.attitude.T).as_rotvec()
         goal[0, 3] = scale
@@ -334,14 +344,16 @@ class Replanner:
         bounds = Bounds(-speed, speed, -push, push, jerk)
         return turning if turning.to(goal, bounds, least_s) else None
 
-    def _bounds(self, axes: Array, effort: Effort, per_axis: tuple[Shares, Shares]) -> Bounds:
-        """Bounds of the centre along its axes, the first the main one; the proof has the last word.
+    def _bounds(self, axes: Array, limit_shares: LimitShares, per_axis: tuple[Shares, Shares]) -> Bounds:
+        """Bounds of the centre along its axes, the first the main one; the verification has the last word.
 
         An axis that leads up or down is no faster than climb or descent allow.
         """
-        limits, share = self._swarm.rules.limits, effort.move
+        limits, share = self._swarm.rules.limits, limit_shares.move
         shares, pushes = share * np.array(per_axis)
-        left = max(JERKED - np.sqrt(3.0) * effort.turn, 0.1) / np.linalg.norm(pushes)  # turns have three axes, too
+        left = max(JERKED - np.sqrt(3.0) * limit_shares.turn, 0.1) / np.linalg.norm(
+            pushes
+        )  # turns have three axes, too
         rise = np.maximum(np.abs(axes[2]), 1e-9)
         up, down = (share * limit / rise for limit in (limits.climb_m_s, limits.descent_m_s))
         upwards = axes[2] > 0.0
@@ -365,8 +377,8 @@ class Replanner:
         centre[1:, outside] = 0.0
         return centre
 
-    def _holds(self, ride: Ride) -> bool:
-        return prove(ride, self._outline_m, self._swarm.rules).keeps(self._swarm.rules, self._smallest_m)
+    def _holds(self, trajectory: FailSafeTrajectory) -> bool:
+        return verify(trajectory, self._outline_m, self._swarm.rules).keeps(self._swarm.rules, self._smallest_m)
 
 
 def _axes(way: Array) -> Array:

@@ -1,4 +1,4 @@
-"""From sightings to rides: estimators for every target, their group, and the inner loop, without clock or network."""
+"""From sightings to trajectories: an estimator for every target, their group, the inner loop; no clock, no network."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
 from fg_gcs.track.estimate.estimator import Estimate, Estimator, Settings
 from fg_gcs.track.estimate.group import Group, GroupEstimate, needed_scale
-from fg_gcs.track.follow.fail_safe import Ride
-from fg_gcs.track.follow.replanner import RUN_ON_S, WORTH_S, Goal, Mode, Replan, Replanner, Swarm
+from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
+from fg_gcs.track.follow.replanner import RUN_ON_S, WORTH_S, FollowMode, Goal, Replan, Replanner, Swarm
 from fg_gcs.track.sightings import Sighting, Verdict
 
 
 @dataclass(frozen=True)
-class Tracking:
+class TrackingSettings:
     """What a mission says about tracking."""
 
     weights: Mapping[str, float]  # of every target, by its name
@@ -28,16 +28,16 @@ class Tracking:
     most_radius_m: float = 0.0  # of the ball that the formation grows for; 0: it keeps its size
 
 
-class Tracker:
+class FollowingCore:
     """Follows targets.
 
     Attributes:
         counts: sightings by what became of them.
-        replanner: the inner loop, with the present ride.
+        replanner: the inner loop, with the present trajectory.
         caught_s: when the formation first was around the target [s], None until then.
     """
 
-    def __init__(self, swarm: Swarm, tracking: Tracking, start: Pose, start_s: float) -> None:
+    def __init__(self, swarm: Swarm, tracking: TrackingSettings, start: Pose, start_s: float) -> None:
         """Rest at a pose from a time on [s]."""
         self.counts: Counter[Verdict] = Counter()
         self.replanner = Replanner(swarm, start, start_s)
@@ -50,9 +50,9 @@ class Tracker:
         self._first_scale = start.scale
 
     @property
-    def ride(self) -> Ride:
-        """The present ride."""
-        return self.replanner.ride
+    def trajectory(self) -> FailSafeTrajectory:
+        """The present trajectory."""
+        return self.replanner.trajectory
 
     def sighted(self, sighting: Sighting, now_s: float) -> Verdict:
         """Take a sighting; return what became of it."""
@@ -66,7 +66,7 @@ class Tracker:
         return self._group.at(now_s, self._estimates(now_s))
 
     def replan(self, now_s: float) -> Replan | None:
-        """Look for a better ride from now on; None while nothing is known.
+        """Look for a better trajectory from now on; None while nothing is known.
 
         When every target is lost the formation goes on as predicted for a while, then rests. It grows with the
         uncertainty all the time.
@@ -85,8 +85,8 @@ class Tracker:
             yield self.replanner.wait(scale, now_s)
             return
         goal = Goal(known.prediction, scale, age_s)
-        for replan in self.replanner.looking(goal, now_s):
-            followed = replan is not None and replan.mode is Mode.FOLLOW
+        for replan in self.replanner.replanning(goal, now_s):
+            followed = replan is not None and replan.mode is FollowMode.FOLLOW
             if self.caught_s is None and followed and self.error_m(now_s) < self._tracking.capture_m:
                 self.caught_s = now_s
             yield replan
@@ -103,7 +103,7 @@ class Tracker:
 
     def place(self, now_s: float) -> Array:
         """Return where the target is if it is held: on the axis, at the hold's depth, shape (3,) [m; ENU]."""
-        frames = self.ride.frames(np.array([now_s]))
+        frames = self.trajectory.frames(np.array([now_s]))
         normal = frames.arms[0, 0, :, 0] / frames.scale[0]
         place: Array = frames.centre[0, 0] - self._swarm.hold_depth_m * normal
         return place
