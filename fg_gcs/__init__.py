@@ -1,1 +1,1 @@
-"""Flux-guided ground control for swarms of simulated MAVLink vehicles."""
+"""Flux-guided ground control for swarms of simulated MAVLink vehicles; :mod:`fg_gcs.run` is its public face."""

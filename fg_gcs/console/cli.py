@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import TypeAlias
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 # it has no other name
 
 EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "formulations", "moving", "figures", "all")
-DONE, ABORTED, BAD_INPUT, NOBODY_ANSWERED, INTERNAL_ERROR = range(5)
 
 EPILOG = """\
 examples:
@@ -25,7 +29,8 @@ examples:
   fg-gcs bench track --flights 20 --jobs 2           moving targets and what is required; 20 random flights besides
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
-exit codes: 0 done, 1 the flight was aborted safely, 2 bad input, 3 nobody answered, 4 internal error
+exit codes: 0 done, 1 the flight was aborted safely, 2 bad input, 3 no vehicle answered, 4 internal error,
+  5 ended, but not everything is as it should be: recording incomplete, or a vehicle not known to be down
 """
 
 
@@ -40,6 +45,17 @@ def parser() -> argparse.ArgumentParser:
     )
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
+    _add_fly(commands)
+    _add_plan(commands)
+    _add_sim(commands)
+    _add_experiment(commands)
+    _add_bench(commands)
+    report = commands.add_parser("report", help="write a run's report again", description="Write a report again.")
+    report.add_argument("log", type=Path, metavar="LOG", help="folder of a recorded run")
+    return top
+
+
+def _add_fly(commands: Commands) -> None:
     fly = commands.add_parser("fly", help="fly a mission", description="Fly a mission and write a report.")
     fly.add_argument(
         "missions",
@@ -71,6 +87,8 @@ def parser() -> argparse.ArgumentParser:
     fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
 
+
+def _add_plan(commands: Commands) -> None:
     plan = commands.add_parser("plan", help="plan missions without flying", description="Plan and verify missions.")
     plan.add_argument("missions", type=Path, nargs="+", metavar="MISSION")
     plan.add_argument("--json", action="store_true", help="print one JSON object a mission on stdout")
@@ -79,6 +97,8 @@ def parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check", help="validate mission files", description="Validate mission files.")
     check.add_argument("missions", type=Path, nargs="+", metavar="MISSION")
 
+
+def _add_sim(commands: Commands) -> None:
     sim = commands.add_parser("sim", help="run only the simulator", description="Run the built-in simulator.")
     from sitl_mock.__main__ import EXAMPLES, add_arguments
 
@@ -86,6 +106,8 @@ def parser() -> argparse.ArgumentParser:
     sim.formatter_class = argparse.RawDescriptionHelpFormatter
     add_arguments(sim)
 
+
+def _add_experiment(commands: Commands) -> None:
     experiment = commands.add_parser(
         "experiment",
         help="regenerate the paper's tables and figures",
@@ -96,14 +118,8 @@ def parser() -> argparse.ArgumentParser:
         "--out", type=Path, default=Path("docs"), metavar="DIR", help="where tables and figures go (default: docs)"
     )
 
-    _add_bench(commands)
 
-    report = commands.add_parser("report", help="write a run's report again", description="Write a report again.")
-    report.add_argument("log", type=Path, metavar="LOG", help="folder of a recorded run")
-    return top
-
-
-def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_bench(commands: Commands) -> None:
     bench = commands.add_parser("bench", help="measure", description="Measure: a table for people, JSON for programs.")
     whats = bench.add_subparsers(dest="what", metavar="WHAT", required=True)
     plan = whats.add_parser("plan", help="the planner against the paper's way, as ratios side by side in one run")
@@ -129,44 +145,41 @@ def _add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code."""
+    """Run a command and return its exit code; with ``--json`` programs get their object whatever the code is."""
     chosen = parser().parse_args(arguments)
+    from fg_gcs.console.codes import ExitCode
     from fg_gcs.errors import FgError, LinkError
 
     try:
         return _run(chosen)
-    except LinkError as error:
-        print(f"fg-gcs: {error}", file=sys.stderr)
-        return NOBODY_ANSWERED
     except FgError as error:
+        code = ExitCode.NO_ANSWER if isinstance(error, LinkError) else ExitCode.BAD_INPUT
         print(f"fg-gcs: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return _ended(chosen, code, str(error))
     except KeyboardInterrupt:
         print("\nfg-gcs: stopped", file=sys.stderr)  # on a line of its own, after the terminal's ^C
-        return ABORTED
+        return _ended(chosen, ExitCode.ABORTED, "stopped")
     except BrokenPipeError:  # the reader of our output has gone, as `| head` does
-        return DONE
-    except Exception:
+        return ExitCode.DONE
+    except Exception as error:
         traceback.print_exc()
         print("fg-gcs: internal error; the lines above belong into a bug report", file=sys.stderr)
-        return INTERNAL_ERROR
+        return _ended(chosen, ExitCode.INTERNAL_ERROR, repr(error))
+
+
+def _ended(chosen: argparse.Namespace, code: int, reason: str) -> int:
+    """Tell programs of an end without a result, and return the code."""
+    if getattr(chosen, "json", False):
+        with suppress(BrokenPipeError):
+            print(json.dumps({"completed": False, "reason": reason, "exit_code": int(code)}), flush=True)
+    return code
 
 
 def _run(chosen: argparse.Namespace) -> int:
     """Load what the chosen command needs, and run it."""
     match chosen.command:
         case "fly":
-            from fg_gcs.console.fly import Options, fly
-
-            options = Options(
-                endpoints=tuple(chosen.connect or ()),
-                wait_s=chosen.wait,
-                speed=chosen.speed,
-                autopilot=chosen.autopilot,
-                logs=chosen.logs,
-                json=chosen.json,
-            )
-            return next((code for path in chosen.missions if (code := fly(path, options)) != DONE), DONE)
+            return _fly(chosen)
         case "plan":
             from fg_gcs.console.plan import plan
 
@@ -179,16 +192,10 @@ def _run(chosen: argparse.Namespace) -> int:
             from fg_gcs.console.experiment import experiment
 
             return experiment(chosen.name, chosen.out)
-        case "bench" if chosen.what == "track":
-            from fg_gcs.experiment.track_bench import Size, bench_track
-
-            return bench_track(
-                chosen.missions, Size(chosen.flights, chosen.seed, jobs=chosen.jobs), as_json=chosen.json
-            )
         case "bench":
-            from fg_gcs.console.experiment import bench
+            from fg_gcs.console import bench
 
-            return bench(as_json=chosen.json)
+            return bench.run(chosen)
         case "report":
             from fg_gcs.console.plan import report
 
@@ -197,6 +204,18 @@ def _run(chosen: argparse.Namespace) -> int:
             from sitl_mock.__main__ import run
 
             return run(chosen)
+
+
+def _fly(chosen: argparse.Namespace) -> int:
+    """Fly missions one after the other, until one is not completed."""
+    from fg_gcs.console.codes import ExitCode
+    from fg_gcs.console.fly import Manner, fly
+    from fg_gcs.run.flying import FlyOptions
+
+    options = FlyOptions(tuple(chosen.connect or ()), chosen.wait, chosen.autopilot, chosen.logs)
+    manner = Manner(chosen.speed, chosen.json)
+    codes = (fly(path, options, manner) for path in chosen.missions)
+    return next((code for code in codes if code is not ExitCode.DONE), ExitCode.DONE)
 
 
 def _positive(text: str) -> float:
@@ -215,7 +234,7 @@ def _count(text: str) -> int:
 
 def _jobs(text: str) -> int:
     if (value := _count(text)) == 0:
-        raise argparse.ArgumentTypeError("0: nobody would fly")
+        raise argparse.ArgumentTypeError("0: at least one job is needed")
     return value
 
 

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
-import time
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from fg_gcs.errors import FgError, MissionError, PlanError
+from fg_gcs.console.codes import ExitCode
+from fg_gcs.errors import FgError, MissionError
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
-from fg_gcs.plan.formulations import FormulationName
+from fg_gcs.plan.compiled import is_built
 from fg_gcs.record.write.recorder import plain
+from fg_gcs.run import planning, reporting
+from fg_gcs.run.planning import PlannedMission
 
 
-def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
+def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> ExitCode:
     """Plan missions without flying; people read a few lines, programs one JSON line a mission.
 
     Raises:
@@ -24,87 +25,53 @@ def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> int:
     if plot is not None and len(paths) > 1:
         raise MissionError("--plot draws one mission; name only one file")
     missions = [load_mission(path) for path in paths]
-    load_planner({mission.plan.formulation for mission in missions})
-    for path, mission in zip(paths, missions, strict=True):
-        try:
-            made = compile_flight(mission.task(), mission.tops_enu_m(), time.perf_counter)
-        except PlanError as error:
-            raise PlanError(f"{path}: {error}") from error
-        keys = plan_keys(str(path), mission.swarm.ids(), made)
-        print(_words(str(path), mission, made), file=sys.stderr)
+    tell_if_not_built(missions)
+    for mission in missions:
+        made = planning.plan(mission)
+        print(_words(made), file=sys.stderr)
         if as_json:
-            print(json.dumps(plain(keys)), flush=True)
+            print(json.dumps(plain(dict(made.figures))), flush=True)
         if plot is not None:
-            from fg_gcs.record.report.plot import plot_plan
-
-            plot_plan(made, mission.task(), plot)
+            made.draw(plot)
             print(f"drawn: {plot}", file=sys.stderr)
-    return 0
+    return ExitCode.DONE
 
 
-def check(paths: Sequence[Path]) -> int:
-    """Say of each file whether it is a valid mission that has a plan; return 2 if one is not."""
-    bad = 0
+def check(paths: Sequence[Path]) -> ExitCode:
+    """Say of each file whether it is a valid mission that has a plan."""
+    bad = False
     for path in paths:
         try:
             mission = load_mission(path)
-            load_planner({mission.plan.formulation})
-            compile_flight(mission.task(), mission.tops_enu_m(), time.perf_counter)
+            tell_if_not_built([mission])
+            planning.plan(mission)
         except FgError as error:
-            text = str(error)
-            print(text if text.startswith(str(path)) else f"{path}: {text}", file=sys.stderr)
-            bad += 1
+            print(error, file=sys.stderr)
+            bad = True
         else:
             print(f"{path}: good", file=sys.stderr)
-    return 2 if bad else 0
+    return ExitCode.BAD_INPUT if bad else ExitCode.DONE
 
 
-def report(folder: Path) -> int:
+def report(folder: Path) -> ExitCode:
     """Write a recorded run's report again.
 
     Raises:
         MissionError: the folder does not hold a recorded run.
     """
-    from fg_gcs.record.report.report import write_report
-
-    try:
-        path = write_report(folder)
-    except (OSError, ValueError, KeyError) as error:
-        raise MissionError(f"{folder}: not the folder of a recorded run: {error}") from error
-    print(f"report: {path}", file=sys.stderr)
-    return 0
+    print(f"report: {reporting.report(folder)}", file=sys.stderr)
+    return ExitCode.DONE
 
 
-def load_planner(formulations: Collection[FormulationName]) -> None:
-    """Load the compiled planner for these formulations, and say so when it has to be compiled first."""
-    from fg_gcs.plan.compiled import build, is_built
-
-    if not is_built(formulations):
+def tell_if_not_built(missions: Sequence[Mission]) -> None:
+    """Say so when the planner has to be compiled first."""
+    if not is_built({mission.plan.formulation for mission in missions}):
         print("compiling the planner, once after installation (about half a minute) ...", file=sys.stderr)
-    build(formulations)
 
 
-def plan_keys(name: str, system_ids: Sequence[int], made: FlightPlan) -> dict[str, object]:
-    """Return a plan's figures by the names of the command line's JSON; peaks and separation are the whole flight's."""
-    first, second = made.separation.pair
-    return {
-        "mission": name,
-        "planner": "flux_guided",
-        "vehicles": len(made.slot_of),
-        "leaders": len(made.rim_of),
-        **made.figures._asdict(),
-        "plan_time_s": made.plan_time_s,
-        "timing_time_s": made.timing_time_s,
-        "duration_s": made.approach.duration_s,
-        "peak_speed_m_s": made.peaks.speed_m_s,
-        "peak_acceleration_m_s2": made.peaks.acceleration_m_s2,
-        "min_separation_m": made.separation.distance_m,
-        "min_separation_pair": [system_ids[first], system_ids[second]],
-    }
-
-
-def _words(name: str, mission: Mission, made: FlightPlan) -> str:
-    figures, ids = made.figures, mission.swarm.ids()
+def _words(planned: PlannedMission) -> str:
+    name, made = str(planned.mission.path), planned.flight
+    figures, ids = made.figures, planned.mission.swarm.ids()
     first, second = (ids[row] for row in made.separation.pair)
     sized = "" if figures.last_scale == 1.0 else f", formation at {figures.last_scale:.2f} times its size at the end"
     return "\n".join(

@@ -1,16 +1,11 @@
-"""The command ``bench track``: whole flights after moving targets in virtual time, beside what is required of them."""
+"""What ``bench track`` measures: whole flights after moving targets in virtual time, beside what they must keep."""
 
 from __future__ import annotations
 
-import gc
-import io
-import json
 import math
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import redirect_stderr
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -20,16 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fg_gcs.console.experiment import show, tell
-from fg_gcs.console.fly import Options, fly
 from fg_gcs.errors import FgError, MissionError
 from fg_gcs.experiment.moving_targets import MANY, REPLANS, Requirement, courses, durations_ms, many, nine, run
 from fg_gcs.experiment.random_missions import random_mission
-from fg_gcs.experiment.tables import Cell, Column, ResultTable
-from fg_gcs.mission import load_mission
+from fg_gcs.experiment.tables import Cell, Column
+from fg_gcs.mission import Mission, load_mission, parse_mission
 from fg_gcs.record.evaluate.figures import PLANNED_STAGES
-from fg_gcs.record.write.recorder import SUMMARY, plain
 from fg_gcs.record.write.table import Columns, load
+from fg_gcs.run.flying import FlyOptions, fly_blocking
 
 Summary = Mapping[str, object]
 
@@ -128,25 +121,6 @@ class Size:
     jobs: int = 1  # processes for the random flights
 
 
-def bench_track(missions: Path, size: Size, *, as_json: bool) -> int:
-    """Measure and tell; programs read one JSON object on the last line of stdout.
-
-    Args:
-        missions: folder with the mission files.
-        size: how much.
-        as_json: print the object.
-
-    Raises:
-        MissionError: a mission file is missing or wrong.
-        PlanError: a mission has no plan.
-    """
-    figures, rows = measure(missions, size, fly_once, time.perf_counter, tell)
-    show(ResultTable("track", "Tracking", TEXT, COLUMNS, rows))
-    if as_json:
-        print(json.dumps(plain(figures)), flush=True)
-    return 0
-
-
 def measure(
     missions: Path, size: Size, flyer: Flyer, stopwatch: Callable[[], float], progress: Callable[[str], None]
 ) -> tuple[dict[str, object], tuple[tuple[Cell, ...], ...]]:
@@ -196,29 +170,25 @@ def fly_once(text: str, autopilot: str | None) -> Flight:
     Raises:
         MissionError: the mission is wrong.
         PlanError: it has no plan.
-        KeyboardInterrupt: somebody stopped it.
     """
     with TemporaryDirectory(prefix="fg-gcs-bench-") as place:
-        path, logs = Path(place) / "mission.toml", Path(place) / "logs"
-        path.write_text(text)
-        with redirect_stderr(io.StringIO()):  # progress is told a flight at a time
-            fly(path, Options(speed=math.inf, autopilot=autopilot, logs=logs))
-        gc.unfreeze()  # each flight freezes what it finds: for hundreds of them that would be their garbage
-        (folder,) = logs.iterdir()
-        summary: dict[str, object] = json.loads((folder / SUMMARY).read_text())
-        if str(summary["reason"]).startswith("stopped by SIG"):
-            raise KeyboardInterrupt
-        broken, pairs_below = commanded(load(folder / "setpoints.npz"), summary, path)
-    return Flight(summary, broken, pairs_below)
+        mission = parse_mission(text)
+        result = fly_blocking(
+            mission, FlyOptions(autopilot=autopilot, logs=Path(place), write_report=False), speed=math.inf
+        )
+        if isinstance(result.error, FgError):
+            raise result.error
+        broken, pairs_below = commanded(load(result.folder / "setpoints.npz"), result.summary, mission)
+    return Flight(result.summary, broken, pairs_below)
 
 
-def commanded(setpoints: Columns, summary: Summary, mission: Path) -> tuple[tuple[str, ...], int]:
+def commanded(setpoints: Columns, summary: Summary, mission: Mission) -> tuple[tuple[str, ...], int]:
     """Return which limits setpoints broke in the planned stages, and how many pairs came too close.
 
     Args:
         setpoints: columns of the setpoint table.
         summary: of the flight: its stages, limits and separation.
-        mission: its file, whose fence counts.
+        mission: whose fence counts.
     """
     stages, limits = summary["stages"], summary["limits"]
     assert isinstance(stages, dict)
@@ -250,7 +220,7 @@ def commanded(setpoints: Columns, summary: Summary, mission: Path) -> tuple[tupl
         for name, peak in peaks.items()
         if limits[name] is not None and peak > limits[name] * (1.0 + ROUNDING)
     ]
-    if load_mission(mission).fence.box().excess_m(position).max() > 0.0:
+    if mission.fence.box().excess_m(position).max() > 0.0:
         broken.append("fence")
     first, second = np.triu_indices(len(ids), k=1)
     nearest = np.linalg.norm(position[:, first] - position[:, second], axis=2).min(axis=0)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, geodetic_from_enu
 from fg_gcs.errors import VehicleError
 from fg_gcs.flight.fleet import Fleet, names
@@ -53,6 +54,7 @@ class FlightResult:
     system_ids: tuple[int, ...] = ()  # of the vehicles that took part, ascending
     vehicles_landed: int = 0
     lost: tuple[int, ...] = ()  # system ids that fell silent and did not come back
+    not_down: tuple[int, ...] = ()  # system ids of those that are not known to be on the ground, motors off
     late_ticks: int = 0
     counters: Counters | None = None
     tracking: TrackingSummary | None = None  # of missions with moving targets, once tracking has begun
@@ -65,6 +67,7 @@ class Director:
         result: what is known so far.
         fleet: the vehicles, once they are found.
         journal: the present stage and what was said.
+        mission: what is flown.
         target follower: of moving targets, once it is ready.
         streamer: the source of setpoints, once there is a plan.
     """
@@ -76,7 +79,8 @@ class Director:
         self.journal = Journal(recorder)
         self.target_follower: TargetFollower | None = None
         self.streamer: Streamer | None = None
-        self._mission = mission
+        self.mission = mission
+        self._router: Router | None = None
         self._setup = setup
         self._interrupts: asyncio.Queue[str] = asyncio.Queue()
         self._failure: BaseException | None = None
@@ -100,6 +104,19 @@ class Director:
         if self.streamer is not None:
             await self.streamer.quiet_moment()
 
+    @property
+    def counters(self) -> Counters:
+        """What went through the sockets so far."""
+        return Counters(*[0] * len(Counters._fields)) if self._router is None else self._router.counters
+
+    def wanted_enu_m(self, now_s: float) -> dict[int, Array]:
+        """Return where vehicles are told to be, by the fleet's rows, each of shape (3,) [m; ENU]."""
+        streamer = self.streamer
+        if streamer is None or streamer.motion is None:
+            return {}
+        places = streamer.motion.at(now_s).position_m
+        return {row: place for row, place in zip(streamer.motion.rows, places, strict=True) if streamer.engaged(row)}
+
     async def fly(self) -> FlightResult:
         """Fly the mission; returns with everybody that still obeys on the ground.
 
@@ -108,7 +125,7 @@ class Director:
             PlanError: the mission has no plan; nothing was armed.
         """
         endpoints = [parse_endpoint(text) for text in self._setup.endpoints]
-        router = await Router.open(endpoints, on_message=self._on_message, tap=self._tap)
+        router = self._router = await Router.open(endpoints, on_message=self._on_message, tap=self._tap)
         self.journal.event("open", f"listening at {', '.join(str(endpoint) for endpoint in endpoints)}")
         background = [asyncio.create_task(router.keep_alive()), asyncio.create_task(self._drain(router))]
         try:
@@ -138,8 +155,8 @@ class Director:
                 task = await self._prepare(fleet, failsafes)
             with self.journal.in_stage("plan"):
                 plan = self._plan(fleet, task)
-                sortie = Sortie(fleet, self._mission, task, plan, self.journal, self.interrupt)
-                if self._mission.targets is not None:
+                sortie = Sortie(fleet, self.mission, task, plan, self.journal, self.interrupt)
+                if self.mission.targets is not None:
                     self.target_follower = await self._listen(sortie.streamer, task, plan)
                 sorties.append(sortie)
 
@@ -168,7 +185,7 @@ class Director:
                 await self._put_back(failsafe)
 
     async def _connect(self, router: Router) -> Fleet:
-        swarm = self._mission.swarm
+        swarm = self.mission.swarm
         with self.journal.in_stage("connect"):
             wanted = swarm.ids() if swarm.system_ids or self._setup.simulated else None
             found = await discover(router, self._setup.endpoints, swarm.vehicles, wanted, self._setup.wait_s)
@@ -180,19 +197,19 @@ class Director:
 
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
         """Get the fleet ready; return the mission's task under the limits that the vehicles really have."""
-        recorder, task = self.journal.recorder, self._mission.task()
+        recorder, task = self.journal.recorder, self.mission.task()
         await prepare(fleet, recorder)
         limits = await vehicle_limits(fleet, task.rules.limits, recorder)
         failsafes.append(Failsafes(fleet, recorder))
         await failsafes[0].set()
-        origin = self._mission.origin_geodetic() if self._knows_origin else None
-        fleet.learn_frames(origin, self._mission.pads_enu_m()[0])
+        origin = self.mission.origin_geodetic() if self._knows_origin else None
+        fleet.learn_frames(origin, self.mission.pads_enu_m()[0])
         return replace(task, rules=replace(task.rules, limits=limits))
 
     def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
         """Plan from where the vehicles really stand, and verify it, before anything is armed."""
         tops = fleet.positions_enu_m()
-        tops[:, 2] = self._mission.takeoff.height_m
+        tops[:, 2] = self.mission.takeoff.height_m
         plan = compile_flight(task, tops, self._setup.stopwatch)
         self.result.plan, self.result.task = plan, task
         self.journal.event(
@@ -205,13 +222,13 @@ class Director:
 
     @property
     def _knows_origin(self) -> bool:
-        return self._mission.origin is not None or self._setup.simulated
+        return self.mission.origin is not None or self._setup.simulated
 
     async def _listen(self, streamer: Streamer, task: Task, plan: FlightPlan) -> TargetFollower:
         """Open the sources of moving targets, before anything is armed."""
         setup = self._setup
         target_follower = TargetFollower(
-            self._mission,
+            self.mission,
             task,
             task.formation.slots_m[plan.slot_of],
             streamer,
@@ -226,7 +243,7 @@ class Director:
         """Return where on Earth the mission's (0, 0, 0) is: as the file says, or as learnt from the first vehicle."""
         own = None if self.fleet is None else self.fleet.vehicles[0].origin
         if self._knows_origin or self.fleet is None or own is None:
-            return self._mission.origin_geodetic()
+            return self.mission.origin_geodetic()
         return geodetic_from_enu(-np.array(self.fleet.frames[0].origin_enu_m), Geodetic(*own))
 
     async def _unless_interrupted(self, work: Awaitable[None]) -> None:
@@ -275,6 +292,7 @@ class Director:
     def _count(self) -> None:
         vehicles = self.fleet.vehicles if self.fleet else ()
         self.result.lost = tuple(vehicle.system_id for vehicle in vehicles if vehicle.phase is Phase.LOST)
+        self.result.not_down = tuple(v.system_id for v in vehicles if v.armed or v.phase is Phase.LOST)
         self.result.vehicles_landed = sum(not v.armed and v.phase is Phase.LANDED for v in vehicles)
 
     def _tap(self, _direction: Direction, frame: bytes, now_s: float) -> None:

@@ -60,6 +60,13 @@ class Fleet:
         positions: Array = swap_ned_enu(np.array([v.position_ned_m for v in self.vehicles])) + self._origins_enu_m
         return positions
 
+    def position_enu_m(self, vehicle: Vehicle) -> tuple[float, float, float] | None:
+        """Return where a vehicle is [m; ENU]; None while its position or its frame is not known."""
+        row = self.row_of.get(vehicle.system_id)
+        if row is None or not self.frames or vehicle.position_ned_m is None:
+            return None
+        return self.frames[row].enu_from_ned(vehicle.position_ned_m)
+
     def state_enu(self, vehicle: Vehicle) -> tuple[float, ...] | None:
         """Return a vehicle's newest state as a row of the telemetry table, from the position on; None if unknown."""
         row = self.row_of.get(vehicle.system_id)

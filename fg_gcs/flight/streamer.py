@@ -128,6 +128,10 @@ class Streamer:
         """The loop's time at which the next setpoints leave; in the past while nothing is streamed [s]."""
         return self._due_s
 
+    def engaged(self, row: int) -> bool:
+        """Tell whether this vehicle gets setpoints."""
+        return self._engaged[row]
+
     def engage(self, rows: Iterable[int]) -> None:
         """Send setpoints to these vehicles from the next tick on."""
         for row in rows:

@@ -123,15 +123,18 @@ class ScaledTimeLoop(asyncio.SelectorEventLoop):
 
     Args:
         speed: Positive and finite.
+
+    Attributes:
+        speed: How many times as fast.
     """
 
     def __init__(self, speed: float) -> None:
-        self._speed = speed
+        self.speed = speed
         super().__init__(_ScaledSelector(speed))
 
     def time(self) -> float:
         """Scaled monotonic time [s]."""
-        return super().time() * self._speed
+        return super().time() * self.speed
 
 
 def make_loop(speed: float) -> asyncio.AbstractEventLoop:
@@ -143,6 +146,13 @@ def make_loop(speed: float) -> asyncio.AbstractEventLoop:
     if not speed > 0.0:
         raise ValueError(f"speed must be a positive number, not {speed}")
     return VirtualTimeLoop() if math.isinf(speed) else ScaledTimeLoop(speed)
+
+
+def speed_of(loop: asyncio.AbstractEventLoop) -> float:
+    """Return how fast a loop's time runs: 1 for any loop in real time, infinity for virtual time."""
+    if isinstance(loop, VirtualTimeLoop):
+        return math.inf
+    return loop.speed if isinstance(loop, ScaledTimeLoop) else 1.0
 
 
 async def ticks(start_s: float, period_s: float) -> AsyncGenerator[tuple[int, float], None]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from pathlib import Path
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
@@ -234,6 +235,29 @@ class Mission(MissionTable):
     origin: OriginTable | None = Field(default=None, description="a table")
     stream: StreamTable = Field(default=StreamTable(), description="a table")
     simulator: SimulatorTable = Field(default=SimulatorTable(), description="a table")
+
+    _file: tuple[Path, str] = PrivateAttr(default=(Path("mission"), ""))
+
+    def read_from(self, path: Path, text: str) -> Self:
+        """Return it with the file that it was read from and that file's text."""
+        made = self.model_copy()
+        made._file = (path, text)  # noqa: SLF001 # its own
+        return made
+
+    @property
+    def path(self) -> Path:
+        """The file that it was read from."""
+        return self._file[0]
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending."""
+        return self._file[0].stem
+
+    @property
+    def text(self) -> str:
+        """The file's text."""
+        return self._file[1]
 
     def task(self) -> Task:
         """Return the mission in the planner's words, under its own limits alone.

@@ -1,1 +1,73 @@
-"""The program as a library: plan, fly and report a mission without printing."""
+"""The program as a library: plan, fly and report a mission without printing, signals or process-wide state.
+
+What is public is exported here and listed with types and units in ``docs/api.md``; everything else may move. Names are
+imported when they are first asked for, so that importing it costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fg_gcs.core.frames import Geodetic
+    from fg_gcs.errors import FgError, LinkError, MissionError, PlanError, VehicleError
+    from fg_gcs.flight.snapshot import LoggedEvent, Snapshot
+    from fg_gcs.mission import Mission, load_mission, parse_mission
+    from fg_gcs.run.flying import FlyOptions, Outcome, RunResult, fly, fly_blocking
+    from fg_gcs.run.observing import Observer
+    from fg_gcs.run.planning import PlannedMission, plan
+    from fg_gcs.run.reporting import report
+
+_HOMES = {
+    "FgError": "fg_gcs.errors",
+    "FlyOptions": "fg_gcs.run.flying",
+    "Geodetic": "fg_gcs.core.frames",
+    "LinkError": "fg_gcs.errors",
+    "LoggedEvent": "fg_gcs.flight.snapshot",
+    "Mission": "fg_gcs.mission",
+    "MissionError": "fg_gcs.errors",
+    "Observer": "fg_gcs.run.observing",
+    "Outcome": "fg_gcs.run.flying",
+    "PlanError": "fg_gcs.errors",
+    "PlannedMission": "fg_gcs.run.planning",
+    "RunResult": "fg_gcs.run.flying",
+    "Snapshot": "fg_gcs.flight.snapshot",
+    "VehicleError": "fg_gcs.errors",
+    "fly": "fg_gcs.run.flying",
+    "fly_blocking": "fg_gcs.run.flying",
+    "load_mission": "fg_gcs.mission",
+    "parse_mission": "fg_gcs.mission",
+    "plan": "fg_gcs.run.planning",
+    "report": "fg_gcs.run.reporting",
+}
+
+__all__ = [
+    "FgError",
+    "FlyOptions",
+    "Geodetic",
+    "LinkError",
+    "LoggedEvent",
+    "Mission",
+    "MissionError",
+    "Observer",
+    "Outcome",
+    "PlanError",
+    "PlannedMission",
+    "RunResult",
+    "Snapshot",
+    "VehicleError",
+    "fly",
+    "fly_blocking",
+    "load_mission",
+    "parse_mission",
+    "plan",
+    "report",
+]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for
+    """Import a public name when it is first asked for."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -5,18 +5,21 @@ In real time each is a process of its own, in virtual time a part of the loop.
 
 from __future__ import annotations
 
+import asyncio
 import json
+import math
 import selectors
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager, contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from fg_gcs.errors import LinkError
+from fg_gcs.link.clock import speed_of
 from fg_gcs.mission.model import Mission
 from fg_gcs.mission.target_tables import VehicleSource
 
@@ -30,6 +33,48 @@ def free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
+
+
+@asynccontextmanager
+async def simulated(
+    mission: Mission, autopilot: str | None, port: int, targets_port: int, folder: Path
+) -> AsyncIterator[None]:
+    """Run all that a mission has simulated: its vehicles, and its target vehicles.
+
+    In virtual time they share the running loop; otherwise each is a process of its own, as fast as the loop's time.
+
+    Args:
+        mission: whose.
+        autopilot: which one the vehicles play, ``px4`` or ``ardupilot``; None: they are real.
+        port: of the loopback, where the vehicles come.
+        targets_port: likewise, of the target vehicles.
+        folder: the processes' own words go here.
+
+    Raises:
+        LinkError: a simulator did not start; says why.
+    """
+    speed = speed_of(asyncio.get_running_loop())
+    async with AsyncExitStack() as stack:
+        if math.isinf(speed):
+            if autopilot is not None:
+                await stack.enter_async_context(simulator_in_loop(mission, autopilot, port))
+            await stack.enter_async_context(targets_in_loop(mission, targets_port))
+        else:
+            if autopilot is not None:
+                log = folder / "simulator.log"
+                await _beside(stack, simulator_process(mission, autopilot, port, speed, log))
+            await _beside(stack, targets_process(mission, targets_port, speed, folder / "targets.log"))
+        yield
+
+
+async def _beside(stack: AsyncExitStack, process: AbstractContextManager[None]) -> None:
+    """Enter a context of the stack whose beginning and end take a while, without holding the loop up."""
+    await asyncio.to_thread(process.__enter__)
+
+    async def leave(*error: Any) -> None:  # noqa: ANN401 - what any context manager is told
+        await asyncio.to_thread(process.__exit__, *error)
+
+    stack.push_async_exit(leave)
 
 
 @contextmanager

@@ -187,7 +187,7 @@ def test_setpoints_are_held_against_limits_fence_and_separation() -> None:
         def moved(rows: Array) -> None:
             rows[2 * row + vehicle, column] = value
 
-        return commanded(table(moved), summary, FOLDER / "circle.toml")
+        return commanded(table(moved), summary, load_mission(FOLDER / "circle.toml"))
 
     assert looked_at(50, 2, 10.0) == ((), 0)
     assert looked_at(50, 3, 2.1) == (("speed",), 0)
@@ -234,7 +234,7 @@ def test_a_missing_mission_is_one_line_before_anything_flies(
 ) -> None:
     assert main(["bench", "track", "--missions", str(tmp_path), "--json"]) == 2
     said = capsys.readouterr()
-    assert said.out == ""
+    assert json.loads(said.out)["exit_code"] == 2
     assert said.err.splitlines() == [f"fg-gcs: {tmp_path / 'circle.toml'}: cannot be read: No such file or directory"]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,10 +12,13 @@ import numpy as np
 from pymavlink.dialects.v20 import all as dialect
 from scipy.spatial.distance import pdist
 
-from fg_gcs.flight.director import Director, FlightResult, Setup
+from fg_gcs.flight.director import Director, FlightResult
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.run.flying import FlyOptions
+from fg_gcs.run.flying import fly as run_mission
+from fg_gcs.run.observing import Observer
 from sitl_mock.host.server import Simulator, SimulatorOptions
 
 GROUND_PORT, OTHER_PORT = 14550, 14551  # ours, and another ground station's
@@ -145,7 +147,6 @@ def fly(
 async def _fly(
     mission: Mission, folder: Path, autopilot: str, script: Script | None, wind_m_s: float, ours: bool
 ) -> Flight:
-    loop = asyncio.get_running_loop()
     simulator = Simulator(
         SimulatorOptions(
             autopilot=autopilot,
@@ -155,24 +156,45 @@ async def _fly(
             wind_m_s=wind_m_s,
         )
     )
-    setup = Setup((f"udpin:127.0.0.1:{GROUND_PORT}",), 5.0, simulated=ours, stopwatch=time.perf_counter)
-    with Recorder(folder, "", loop.time(), 0.0) as recorder:
-        flight = Flight(Director(mission, setup, recorder), simulator, recorder)
-        await simulator.start()
-        beside = [asyncio.create_task(_watch_truth(flight))]
-        if script is not None:
-            beside.append(asyncio.ensure_future(script(flight)))
-        try:
-            flight.result = await asyncio.wait_for(flight.director.fly(), 300.0)
-        finally:
-            for task in beside:
-                if task.done():
-                    task.result()  # a script that failed fails the test
-                task.cancel()
-            with suppress(asyncio.CancelledError):
-                await asyncio.gather(*beside)
-            await simulator.close()
-    return flight
+    await simulator.start()
+    beside = _Beside(simulator, script)
+    options = FlyOptions(
+        (f"udpin:127.0.0.1:{GROUND_PORT}",), wait_s=5.0, logs=folder, knows_origin=ours, write_report=False
+    )
+    try:
+        result = await asyncio.wait_for(run_mission(mission, options, [beside]), 300.0)
+    finally:
+        await beside.end()
+        await simulator.close()
+    if result.error is not None:
+        raise result.error
+    assert beside.flight is not None
+    beside.flight.result = result.flight
+    return beside.flight
+
+
+class _Beside(Observer):
+    """Runs a script, and watches the truth, while the flight is on."""
+
+    def __init__(self, simulator: Simulator, script: Script | None) -> None:
+        self.flight: Flight | None = None
+        self._simulator, self._script = simulator, script
+        self._tasks: list[asyncio.Future[None]] = []
+
+    def started(self, director: Director) -> None:
+        self.flight = Flight(director, self._simulator, director.journal.recorder)
+        self._tasks.append(asyncio.ensure_future(_watch_truth(self.flight)))
+        if self._script is not None:
+            self._tasks.append(asyncio.ensure_future(self._script(self.flight)))
+
+    async def end(self) -> None:
+        """Stop both; a script that failed fails the test."""
+        for task in self._tasks:
+            if task.done():
+                task.result()
+            task.cancel()
+        with suppress(asyncio.CancelledError):
+            await asyncio.gather(*self._tasks)
 
 
 async def _watch_truth(flight: Flight) -> None:

@@ -27,15 +27,31 @@ def load_mission(path: Path) -> Mission:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise MissionError(f"{path}: larger than {MAX_BYTES} bytes, so not a mission file")
-        tables = tomllib.loads(path.read_bytes().decode())
+        text = path.read_bytes().decode()
     except OSError as error:
         raise MissionError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise MissionError(f"{path}: not a TOML file: {' '.join(str(error).split())}") from error
+    except UnicodeDecodeError as error:
+        raise _no_toml(path, error) from error
+    return parse_mission(text, path)
+
+
+def parse_mission(text: str, path: Path = Path("mission.toml")) -> Mission:
+    """Check the text of a mission file.
+
+    Args:
+        text: in TOML.
+        path: the file that it is from, or would be: files that it names lie beside it, its name is the run's.
+
+    Raises:
+        MissionError: one line that names file, table and key and says what would be accepted.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise _no_toml(path, error) from error
     try:
         # By way of JSON, whose lists the strict model takes for points; TOML's dates become text and are refused there
-        text = json.dumps(tables, default=str)
-        mission = Mission.model_validate_json(text, context={FOLDER: path.parent})
+        mission = Mission.model_validate_json(json.dumps(tables, default=str), context={FOLDER: path.parent})
     except ValidationError as error:
         found = [_explained(details) for details in error.errors()]
         # One problem a key, the first: a key of several types is told once for each of them
@@ -43,11 +59,15 @@ def load_mission(path: Path) -> Mission:
     else:
         problems = list(problems_of(mission))
     if problems:
-        table, key, text = problems[0]
+        table, key, what = problems[0]
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         place = " ".join(part for part in (f"[{table}]" if table else "", key) if part)
-        raise MissionError(f"{path}: {place}: {text}{more}")
-    return mission
+        raise MissionError(f"{path}: {place}: {what}{more}")
+    return mission.read_from(path, text)
+
+
+def _no_toml(path: Path, error: Exception) -> MissionError:
+    return MissionError(f"{path}: not a TOML file: {' '.join(str(error).split())}")
 
 
 def _explained(details: ErrorDetails) -> Problem:

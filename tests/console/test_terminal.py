@@ -12,17 +12,27 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from fg_gcs.console.closing import closing_lines
-from fg_gcs.console.progress import BEGIN_FRAME, END_FRAME, EVENT_LINES, HINT, Progress, vehicle_lines
-from fg_gcs.console.tracking_lines import HEIGHT, tracking_lines
-from fg_gcs.flight.target_follower import TrackingStatus
+from fg_gcs.console.terminal import (
+    BEGIN_FRAME,
+    END_FRAME,
+    EVENT_LINES,
+    HEIGHT,
+    HINT,
+    Terminal,
+    closing_lines,
+    tracking_lines,
+    vehicle_lines,
+)
+from fg_gcs.flight.snapshot import (
+    CounterSnapshot,
+    LoggedEvent,
+    Snapshot,
+    TrackingSnapshot,
+    VehicleSnapshot,
+)
+from fg_gcs.flight.snapshot_maker import SnapshotMaker
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission import Mission
-from fg_gcs.track.follow.replanner import FollowMode
-from fg_gcs.track.sightings import Verdict
-from fg_gcs.wire.autopilots import PX4
-from fg_gcs.wire.phases import Phase
-from fg_gcs.wire.vehicle import Vehicle
 from tests.flight.harness import CIRCLE, CIRCLING, SMALL, Flight, fly, mission_of, moving
 
 SIZES = ((100, 30), (80, 24), (60, 20))
@@ -56,6 +66,16 @@ class Screen:
         return [MARKS.sub("", line).rstrip() for line in capture.get().splitlines()]
 
 
+class Nowhere:
+    """Readers that want nothing."""
+
+    def wanted(self) -> bool:
+        return False
+
+    def take(self, snapshot: Snapshot) -> None:
+        raise AssertionError("not wanted")
+
+
 Pictures = dict[tuple[int, int], list[tuple[str, list[str]]]]
 
 
@@ -66,18 +86,19 @@ def watched(folder: Path, text: str) -> tuple[Mission, Flight, Pictures]:
 
     async def look(flight: Flight) -> None:
         screens = [Screen(*size) for size in SIZES]
-        shows = [Progress(mission, screen.console, live=True) for screen in screens]
+        shows = [Terminal(mission.description, screen.console, live=True) for screen in screens]
+        maker = SnapshotMaker(flight.director, Nowhere(), 4.0)
         loop = asyncio.get_running_loop()
         async for _ in ticks(0.0, 0.25):
+            snapshot = maker.snapshot(loop.time())
             for size, screen, show in zip(SIZES, screens, shows, strict=True):
-                stage = flight.director.journal.stage
-                pictures[size].append((stage, screen.lines(show.picture(flight.director, loop.time()))))
+                pictures[size].append((snapshot.stage, screen.lines(show.picture(snapshot))))
 
     flight = fly(folder, "px4", look, mission)
     return mission, flight, pictures
 
 
-def test_the_picture_of_a_pursuit_fits_never_jumps_and_tells_of_loss_and_return(tmp_path: Path) -> None:
+def test_the_picture_while_tracking_fits_never_jumps_and_tells_of_loss_and_return(tmp_path: Path) -> None:
     mission, flight, pictures = watched(tmp_path, LOSING)
     assert flight.result is not None
     assert flight.result.completed, flight.result.reason
@@ -181,13 +202,22 @@ def test_without_a_moving_target_there_are_no_lines_for_one(tmp_path: Path) -> N
     assert not any("target" in line for lines in flying for line in lines)
 
 
+def vehicle(system_id: int, *, lost: bool) -> VehicleSnapshot:
+    phase = "lost" if lost else "discovered"
+    return VehicleSnapshot(
+        "main", system_id, False, phase, lost, "", False, 0.0, None, None, None, None, None, None, None
+    )
+
+
+def snapshot_of(tracking: TrackingSnapshot | None) -> Snapshot:
+    counters = CounterSnapshot(0, 0, 0, 0, 0, 0, 0, 0, 0)
+    return Snapshot(0, 1.0, "", "approach", ("approach",), 0.0, None, 1, (), None, tracking, True, counters, ())
+
+
 @pytest.mark.parametrize("count", [1, 2, 7, 8, 40, 250])
 @pytest.mark.parametrize("most", [2, 7, 12])
 def test_what_needs_eyes_is_shown_however_many_there_are(count: int, most: int) -> None:
-    vehicles = [Vehicle(system_id, PX4, 0.0) for system_id in range(1, count + 1)]
-    wrong = vehicles[-1]
-    wrong.watch(99.0)  # the others were heard just now
-    assert wrong.phase is Phase.LOST
+    vehicles = [vehicle(system_id, lost=system_id == count) for system_id in range(1, count + 1)]
     lines = Screen(80, 24).lines(vehicle_lines(vehicles, most))[1:]
     assert len(lines) == min(count, most)
     ids = [line.split()[0] for line in lines]
@@ -200,27 +230,25 @@ def test_what_needs_eyes_is_shown_however_many_there_are(count: int, most: int) 
         assert ids == [str(system_id) for system_id in range(1, count + 1)]
 
 
-def test_events_wrap_between_words_in_a_terminal_and_stay_whole_elsewhere(tmp_path: Path) -> None:
+def test_events_wrap_between_words_in_a_terminal_and_stay_whole_elsewhere() -> None:
     text = "COM_OBL_RC_ACT = 0, set to 4 for this flight on vehicles 1-9 (setpoints stop: land; the default sinks)"
-    mission = mission_of(tmp_path, SMALL)
     screen = Screen(60, 20)
-    Progress(mission, screen.console, live=False).event(2.5, "failsafe", text)
+    Terminal("", screen.console, live=False).event(LoggedEvent(2.5, "failsafe", text))
     lines = [line.rstrip() for line in MARKS.sub("", screen.file.getvalue()).splitlines()]
     assert [line[:11] for line in lines] == ["   2.50 s  ", " " * 11, " " * 11]
     assert " ".join(line[11:] for line in lines) == text
     piped = io.StringIO()
-    Progress(mission, Console(file=piped), live=False).event(2.5, "failsafe", text)
+    Terminal("", Console(file=piped), live=False).event(LoggedEvent(2.5, "failsafe", text))
     assert piped.getvalue() == f"   2.50 s  {text}\n"
-    Progress(mission, Console(file=piped), live=False).event(2.5, "phase", "for developers")
+    Terminal("", Console(file=piped), live=False).event(LoggedEvent(2.5, "phase", "for developers"))
     assert "developers" not in piped.getvalue()
 
 
-def test_whatever_a_live_terminal_gets_is_one_frame(tmp_path: Path) -> None:
-    mission = mission_of(tmp_path, SMALL)
+def test_whatever_a_live_terminal_gets_is_one_frame() -> None:
     screen = Screen(80, 24)
-    with Progress(mission, screen.console, live=True) as progress:
+    with Terminal("", screen.console, live=True) as terminal:
         for k in range(3):
-            progress.event(float(k), "stage", "gather")
+            terminal.event(LoggedEvent(float(k), "stage", "gather"))
     frames = screen.file.getvalue().split(BEGIN_FRAME)
     assert len(frames) == 1 + 3 + 1
     assert all(frame.endswith(END_FRAME) for frame in frames[1:])
@@ -229,15 +257,13 @@ def test_whatever_a_live_terminal_gets_is_one_frame(tmp_path: Path) -> None:
 
 def test_before_and_after_tracking_the_lines_keep_their_place() -> None:
     screen = Screen(80, 24)
-    assert len(screen.lines(tracking_lines(None))) == HEIGHT
+    assert len(screen.lines(tracking_lines(snapshot_of(None)))) == HEIGHT
 
 
 @pytest.mark.parametrize("rests", [False, True])
 def test_nothing_is_off_of_what_nobody_has_seen(rests: bool) -> None:
-    status = TrackingStatus(
-        FollowMode.WAIT, 1, None, np.inf, 1.0, rests, False, 57.0, 4, {Verdict.MALFORMED: 4}, np.nan
-    )
-    lines = Screen(80, 24).lines(tracking_lines(status))
+    status = TrackingSnapshot("waiting for the target", 1, None, 1.0, rests, False, 57.0, 4, (("malformed", 4),), None)
+    lines = Screen(80, 24).lines(tracking_lines(snapshot_of(status)))
     assert [line.split(maxsplit=1)[1] for line in lines] == [
         "not seen yet, home in 57 s",
         "waiting for the target",

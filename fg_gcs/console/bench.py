@@ -1,0 +1,63 @@
+"""The commands ``bench``: each measures side by side in one run; a table for people, one JSON object for programs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import asdict
+
+from fg_gcs.console.codes import ExitCode
+from fg_gcs.console.experiment import show, tell
+from fg_gcs.experiment.bench import PlanBench, bench_plan
+from fg_gcs.experiment.tables import ResultTable
+from fg_gcs.experiment.track_bench import COLUMNS, TEXT, Size, fly_once, measure
+from fg_gcs.record.write.recorder import plain
+
+
+def run(chosen: argparse.Namespace) -> ExitCode:
+    """Run the chosen benchmark.
+
+    Raises:
+        PlanError: a scene, or a mission, has no plan.
+        MissionError: a mission file is missing or wrong.
+    """
+    figures = _track(chosen) if chosen.what == "track" else _plan()
+    if chosen.json:
+        print(json.dumps(plain(figures)), flush=True)
+    return ExitCode.DONE
+
+
+def _plan() -> dict[str, object]:
+    figures = bench_plan(time.perf_counter, tell)
+    print(_words(figures), file=sys.stderr)
+    return asdict(figures)
+
+
+def _track(chosen: argparse.Namespace) -> dict[str, object]:
+    size = Size(chosen.flights, chosen.seed, jobs=chosen.jobs)
+    figures, rows = measure(chosen.missions, size, fly_once, time.perf_counter, tell)
+    show(ResultTable("track", "Tracking", TEXT, COLUMNS, rows))
+    return figures
+
+
+def _words(figures: PlanBench) -> str:
+    lengths = ", ".join(f"({target}) {metres:.1f} m" for target, metres in figures.path_length_m.items())
+    return "\n".join(
+        (
+            f"search       {figures.fg_time_ms_median:.2f} ms, {figures.fg_speedup_median:.0f} times as fast as the "
+            f"paper's way (worst {figures.fg_speedup_worst:.0f})",
+            f"whole plan   {figures.plan_time_ms_median:.2f} ms, {figures.plan_speedup_median:.0f} times as fast",
+            f"flux metric  at least {figures.flux_metric_worst_rows:.5f} on the printed rows, "
+            f"{figures.flux_metric_worst_draws:.5f} on random scenes",
+            f"lengths      {lengths}",
+            f"separation   at least {figures.separation_ratio_worst:.4f} of the formation's own",
+            f"limits       speed {figures.speed_ratio_worst:.4f}, acceleration {figures.acceleration_ratio_worst:.4f} "
+            "of the limit at most",
+            f"duration     at most {figures.duration_ratio_worst:.4f} of the optimum; "
+            f"to (40,40,40) {figures.flight_time_40_s:.2f} s",
+            f"growth       64 leaders take {figures.leaders_64_ratio:.2f} times the time of 4; "
+            f"1000 followers add {figures.followers_1000_ms:.1f} ms and {figures.memory_1000_mb:.0f} MB",
+        )
+    )

@@ -1,0 +1,279 @@
+"""Fly a mission and keep its record: simulator, flight, tables, summary and report, without a word on the way."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import Enum
+from pathlib import Path
+
+from fg_gcs.errors import FgError, LinkError, MissionError
+from fg_gcs.flight.director import Director, FlightResult, Setup
+from fg_gcs.flight.target_follower import warm_up
+from fg_gcs.link.clock import make_loop, speed_of
+from fg_gcs.link.endpoint import parse_endpoint
+from fg_gcs.mission.model import Mission
+from fg_gcs.plan.compiled import build
+from fg_gcs.record.report.report import write_report
+from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder
+from fg_gcs.run.observing import Audience, Observer
+from fg_gcs.run.simulators import free_port, simulated
+from fg_gcs.run.summary import summary_of
+
+VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time no other program is there
+VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed one keeps a run's files the same
+
+
+@dataclass(frozen=True)
+class FlyOptions:
+    """How a mission is flown.
+
+    Attributes:
+        connect: connection strings of vehicles that are there already; empty: the built-in simulator is started.
+        wait_s: how long to wait for the vehicles' first heartbeats [s].
+        autopilot: which one the simulator plays, ``px4`` or ``ardupilot``; None: as the mission says.
+        logs: the run's folder is made in here.
+        knows_origin: whether the mission's origin is where it says on Earth; None: yes with the built-in simulator,
+            otherwise only if the mission names one, else it is learnt from where the vehicles stand.
+        snapshot_hz: how often observers get a snapshot at most, never more than 25 [Hz].
+        write_report: write the report when the run has ended; :func:`fg_gcs.run.reporting.report` does it later.
+        serve_snapshots: offer snapshots to other programs on a socket in the run's folder; never in virtual time.
+    """
+
+    connect: tuple[str, ...] = ()
+    wait_s: float = 30.0
+    autopilot: str | None = None
+    logs: Path = Path("logs")
+    knows_origin: bool | None = None
+    snapshot_hz: float = 25.0
+    serve_snapshots: bool = True
+    write_report: bool = True
+
+
+class Outcome(Enum):
+    """How a run ended."""
+
+    COMPLETED = "completed"
+    ABORTED = "aborted; what still obeyed was brought down"
+    NO_PLAN = "the mission has no plan, so nothing was armed"
+    NO_ANSWER = "too few vehicles answered, or a port is taken"
+    FAILED = "a fault of this program"
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What came of a run.
+
+    Attributes:
+        outcome: how it ended.
+        reason: why it was not completed, in one line; empty if it was.
+        summary: its figures by the names of the command line's JSON.
+        folder: where its record is.
+        flight: what the flight knows of itself, its plan included.
+        error: what ended it, where an exception did.
+    """
+
+    outcome: Outcome
+    reason: str
+    summary: Mapping[str, object]
+    folder: Path
+    flight: FlightResult = field(repr=False)
+    error: Exception | None = None
+
+    @property
+    def completed(self) -> bool:
+        """Whether everything was flown as planned."""
+        return self.outcome is Outcome.COMPLETED
+
+    @property
+    def report(self) -> Path | None:
+        """The report, if one could be written."""
+        path = self.folder / REPORT
+        return path if path.exists() else None
+
+    @property
+    def in_order(self) -> bool:
+        """Whether the record is complete and every vehicle is known to be on the ground, motors off."""
+        return self.summary["recording_complete"] is True and not self.summary["vehicles_not_down"]
+
+
+async def fly(mission: Mission, options: FlyOptions | None = None, observers: Sequence[Observer] = ()) -> RunResult:
+    """Fly a mission on the running loop, whatever its time is: real, scaled or virtual.
+
+    Cancelling it brings the vehicles down first, as :meth:`Director.interrupt` does.
+
+    Args:
+        mission: what to fly, see :func:`fg_gcs.mission.load_mission`.
+        options: how; without them by the built-in simulator.
+        observers: hear of what happens; they cannot hold the flight up, nor end it by an exception.
+
+    Returns:
+        What came of it; also when no vehicle answered, when there is no plan, and after a fault of this program.
+
+    Raises:
+        MissionError: the options are at fault, or no folder can be made for the record; nothing was begun.
+    """
+    chosen = options or FlyOptions()
+    _check(chosen)
+    loop = asyncio.get_running_loop()
+    await asyncio.to_thread(prepare, mission)
+    folder = _folder(mission, chosen)
+    virtual = math.isinf(speed_of(loop))
+    epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
+    async with AsyncExitStack() as stack:
+        recorder = stack.enter_context(Recorder(folder, mission.text, loop.time(), epoch_s))
+        audience = await stack.enter_async_context(
+            Audience.open(observers, recorder, folder if chosen.serve_snapshots and not virtual else None)
+        )
+        director, error = await _flown(mission, chosen, recorder, audience)
+        result = await asyncio.to_thread(_finished, mission, chosen, director, error, recorder)
+    if isinstance(error, asyncio.CancelledError):
+        raise error
+    return result
+
+
+def fly_blocking(
+    mission: Mission,
+    options: FlyOptions | None = None,
+    observers: Sequence[Observer] = (),
+    *,
+    speed: float = 1.0,
+) -> RunResult:
+    """Fly a mission on a loop of its own and wait for its end; see :func:`fly`.
+
+    Args:
+        mission: what to fly.
+        options: how.
+        observers: hear of what happens.
+        speed: of time; 1 is real time, infinity virtual time: as fast as it can be computed, simulator only.
+
+    Raises:
+        MissionError: see :func:`fly`.
+        ValueError: the speed is not a positive number.
+    """
+    with asyncio.Runner(loop_factory=lambda: make_loop(speed)) as runner:
+        return runner.run(fly(mission, options, (_OwnLoop(), *observers)))
+
+
+def prepare(mission: Mission) -> None:
+    """Load, or compile, all code that the mission needs, so that nothing in flight waits for it.
+
+    :func:`fly` does it by itself; it takes half a minute once after installation, see
+    :func:`fg_gcs.plan.compiled.is_built`.
+
+    Raises:
+        FgError: the mission's numbers are absurd, or a file of its targets is wrong; the loader refuses those.
+    """
+    build({mission.plan.formulation})
+    if mission.targets is not None:
+        warm_up(mission)
+
+
+class _OwnLoop(Observer):
+    """On a loop that is the flight's own, an exception in any callback is a fault that ends the flight."""
+
+    def started(self, director: Director) -> None:
+        """Hear of exceptions in callbacks."""
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: director.fail(context))
+
+
+def _check(options: FlyOptions) -> None:
+    for text in options.connect:
+        try:
+            parse_endpoint(text)
+        except LinkError as error:
+            raise MissionError(f"--connect: {error}") from error
+
+
+def _folder(mission: Mission, options: FlyOptions) -> Path:
+    try:
+        return make_folder(options.logs, mission.name, datetime.now())
+    except OSError as error:
+        raise MissionError(f"--logs {options.logs}: {error.strerror or error}") from error
+
+
+async def _flown(
+    mission: Mission, options: FlyOptions, recorder: Recorder, audience: Audience
+) -> tuple[Director, Exception | asyncio.CancelledError | None]:
+    """Fly; return the flight's handle, and the exception that ended it if one did."""
+    loop = asyncio.get_running_loop()
+    async with AsyncExitStack() as stack:
+        try:
+            setup = await stack.enter_async_context(_surroundings(mission, options, recorder))
+        except FgError as error:  # the simulator did not start
+            recorder.event(loop.time(), "error", str(error))
+            return Director(mission, Setup((), 0.0, True, time.perf_counter), recorder), error
+        director = Director(mission, setup, recorder)
+        try:
+            async with audience.watching(director, options.snapshot_hz):
+                await director.fly()
+        except FgError as error:
+            recorder.event(loop.time(), "error", str(error))
+            return director, error
+        except asyncio.CancelledError as error:  # the vehicles are down, and the caller wants no more of this
+            director.result.reason = "cancelled"
+            return director, error
+        except Exception as error:  # a bug: the vehicles are down, and the record is kept for whoever mends it
+            recorder.event(loop.time(), "error", f"internal error: {error!r}")
+            return director, error
+    return director, None
+
+
+@asynccontextmanager
+async def _surroundings(mission: Mission, options: FlyOptions, recorder: Recorder) -> AsyncIterator[Setup]:
+    """Start what has to be simulated; yield how the flight is connected to it.
+
+    Raises:
+        LinkError: the simulator did not start.
+    """
+    loop = asyncio.get_running_loop()
+    virtual = math.isinf(speed_of(loop))
+    autopilot = options.autopilot or mission.simulator.autopilot
+    port, targets_port = (VIRTUAL_PORT, VIRTUAL_TARGETS_PORT) if virtual else (free_port(), free_port())
+    own = not options.connect
+    if own:
+        text = f"starting {mission.swarm.vehicles} simulated {autopilot} vehicles"
+        recorder.event(loop.time(), "simulator", text)
+    async with simulated(mission, autopilot if own else None, port, targets_port, recorder.folder):
+        yield Setup(
+            (f"udpin:127.0.0.1:{port}",) if own else options.connect,
+            options.wait_s,
+            own if options.knows_origin is None else options.knows_origin,
+            time.perf_counter,
+            f"udpin:127.0.0.1:{targets_port}",
+        )
+
+
+def _finished(
+    mission: Mission,
+    options: FlyOptions,
+    director: Director,
+    ended_by: Exception | asyncio.CancelledError | None,
+    recorder: Recorder,
+) -> RunResult:
+    """Write summary and report; return what came of the run."""
+    flight = director.result
+    error = ended_by if isinstance(ended_by, Exception) else None
+    reason = flight.reason if error is None else str(error) or repr(error)
+    summary = summary_of(mission, flight, recorder, reason)
+    recorder.finish(summary)
+    if options.write_report:
+        write_report(recorder.folder)
+    return RunResult(_outcome(flight, error), reason, summary, recorder.folder, flight, error)
+
+
+def _outcome(flight: FlightResult, error: Exception | None) -> Outcome:
+    match error:
+        case None:
+            return Outcome.COMPLETED if flight.completed else Outcome.ABORTED
+        case LinkError():
+            return Outcome.NO_ANSWER
+        case FgError():
+            return Outcome.NO_PLAN
+        case _:
+            return Outcome.FAILED
