@@ -61,26 +61,25 @@ class Terminal(Observer):
         self._console = console
         self._live = Live(console=self._console, auto_refresh=False, transient=True) if live else None
         self._description = description
+        self._begun = False
         self._drawn_s = -math.inf
 
     def __enter__(self) -> Self:
-        """Begin to show."""
-        if self._description:
-            self._say(Text(self._description, "bold"))
-        if self._live is not None:
-            self._live.start()
+        """Begin to show with the first event: a run that never began has nothing to show."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Leave the terminal as it was."""
-        if self._live is not None:
+        if self._live is not None and self._begun:
             with self._one_frame():
                 self._live.stop()
 
     def event(self, event: LoggedEvent) -> None:
         """Print an event that is meant for people."""
+        if not self._begun:
+            self._begin()
         if event.kind in SHOWN:
             line = Table.grid()
             line.add_row(Text(f"{event.time_s:7.2f} s  ", "dim"), Text(event.text, SHOWN[event.kind]))
@@ -100,6 +99,13 @@ class Terminal(Observer):
         most = max(self._console.height - taken, FEWEST_LINES)
         vehicles = vehicle_lines(snapshot.vehicles, most, snapshot.networks > 1) if snapshot.vehicles else Text("")
         return Group(_head(snapshot), middle, vehicles, Text(HINT, "dim", no_wrap=True, overflow="ellipsis"))
+
+    def _begin(self) -> None:
+        self._begun = True
+        if self._description:
+            say(self._console, Text(self._description, "bold"))
+        if self._live is not None:
+            self._live.start()
 
     def _say(self, what: RenderableType) -> None:
         with self._one_frame():
