@@ -19,10 +19,6 @@ class Separation(NamedTuple):
     time_s: float
     pair: tuple[int, int]  # indices of the two vehicles
 
-    def violates(self, minimum_m: float) -> bool:
-        """Say whether the pair comes closer than allowed."""
-        return self.distance_m < minimum_m
-
 
 @dataclass(frozen=True)
 class Fence:

@@ -19,6 +19,7 @@ from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.path.leader_paths import LeadersPath
 from fg_gcs.plan.path.rigid_path import PosePath
 from fg_gcs.plan.path.swarm_path import SwarmPath
+from fg_gcs.plan.rules import limit_shares, peaks_of
 from fg_gcs.plan.trajectory import Trajectory, timed
 from fg_gcs.plan.verification import CheckedPlan, check
 
@@ -121,7 +122,5 @@ def limit_ratios(trajectory: Trajectory | CheckedPlan, limits: Limits = LIMITS) 
     """Sample a trajectory at 1 kHz and hold its norms against the limits."""
     time_s = np.arange(0.0, trajectory.duration_s, 1.0 / SAMPLE_HZ)
     _, velocity, acceleration = trajectory.sample(time_s)
-    return LimitRatios(
-        float(np.linalg.norm(velocity, axis=2).max()) / limits.speed_m_s,
-        float(np.linalg.norm(acceleration, axis=2).max()) / limits.acceleration_m_s2,
-    )
+    shares = limit_shares(peaks_of(velocity, acceleration, time_s), limits)
+    return LimitRatios(shares["speed_m_s"], shares["acceleration_m_s2"])

@@ -20,6 +20,8 @@ from fg_gcs.experiment.moving_targets import MANY, REPLANS, Requirement, courses
 from fg_gcs.experiment.random_missions import random_mission
 from fg_gcs.experiment.tables import Cell, Column
 from fg_gcs.mission import Mission, load_mission, parse_mission
+from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.plan.rules import Peaks, broken, peaks_of, too_close
 from fg_gcs.record.evaluate.figures import PLANNED_STAGES
 from fg_gcs.record.write.table import Columns, load
 from fg_gcs.run.flying import FlyOptions, fly_blocking
@@ -30,8 +32,6 @@ MISSIONS = ("circle", "figure_eight", "evader", "lost_and_found", "convoy", "esc
 ROUGH = "circle, rough"
 ROUGH_SENSOR = "\n[targets.sensor]\ndrop = 0.3\noutliers = 0.05\noutlier_m = 20.0\n"  # goes to the last target
 SIMULATED_S = 60.0  # a minute gives some 600 durations of replanning
-ROUNDING = 1e-9  # of a limit: arithmetic, not motion
-INSTANT_S = 1e-4  # setpoints closer together than this tell rounding, not jerk
 KEYS = (  # of every mission's summary, by the names of the JSON of `fly`
     "completed",
     "reason",
@@ -178,8 +178,7 @@ def fly_once(text: str, autopilot: str | None) -> Flight:
         )
         if isinstance(result.error, FgError):
             raise result.error
-        broken, pairs_below = commanded(load(result.folder / "setpoints.npz"), result.summary, mission)
-    return Flight(result.summary, broken, pairs_below)
+        return Flight(result.summary, *commanded(load(result.folder / "setpoints.npz"), result.summary, mission))
 
 
 def commanded(setpoints: Columns, summary: Summary, mission: Mission) -> tuple[tuple[str, ...], int]:
@@ -206,25 +205,14 @@ def commanded(setpoints: Columns, summary: Summary, mission: Mission) -> tuple[t
         setpoints[name][rows].reshape(-1, len(ids), 3)
         for name in ("position_enu_m", "velocity_enu_m_s", "acceleration_enu_m_s2")
     )
-    steps_s = np.diff(time_s[rows].reshape(-1, len(ids))[:, 0])
-    growth = np.linalg.norm(np.diff(acceleration, axis=0), axis=2)[steps_s > INSTANT_S]
-    peaks = {
-        "speed_m_s": np.linalg.norm(velocity, axis=2).max(),
-        "acceleration_m_s2": np.linalg.norm(acceleration, axis=2).max(),
-        "jerk_m_s3": (growth / steps_s[steps_s > INSTANT_S, None]).max(initial=0.0),
-        "climb_m_s": velocity[..., 2].max(),
-        "descent_m_s": -velocity[..., 2].min(),
-    }
-    broken = [
-        name.rpartition("_m_")[0]
-        for name, peak in peaks.items()
-        if limits[name] is not None and peak > limits[name] * (1.0 + ROUNDING)
-    ]
-    if mission.fence.box().excess_m(position).max() > 0.0:
-        broken.append("fence")
+    peaks = peaks_of(velocity, acceleration, time_s[rows].reshape(-1, len(ids))[:, 0])
+    told = Limits(**{name: math.inf if limits[name] is None else limits[name] for name in Peaks._fields})
+    minimum_m, fence = _number(summary["separation_m"]), mission.fence.box()
+    excess_m = float(fence.excess_m(position).max())
     first, second = np.triu_indices(len(ids), k=1)
     nearest = np.linalg.norm(position[:, first] - position[:, second], axis=2).min(axis=0)
-    return tuple(broken), int((nearest < _number(summary["separation_m"])).sum())
+    pairs_below = sum(too_close(distance_m, minimum_m) for distance_m in nearest.tolist())
+    return broken(peaks, excess_m, math.inf, Rules(told, minimum_m, fence)), pairs_below  # pairs count by themselves
 
 
 def _random_flights(size: Size, flyer: Flyer, progress: Callable[[str], None]) -> dict[str, object]:
@@ -239,7 +227,7 @@ def _random_flights(size: Size, flyer: Flyer, progress: Callable[[str], None]) -
             counts["not_landed"] += 1
             odd.append({"seed": seed, "said": said})
             continue
-        below = _number(flight.summary["flown_min_separation_m"]) < _number(flight.summary["separation_m"])
+        below = too_close(*(_number(flight.summary[key]) for key in ("flown_min_separation_m", "separation_m")))
         counts["completed"] += bool(flight.summary["completed"])
         counts["not_landed"] += not flight.landed
         counts["pairs_below_minimum"] += flight.pairs_below

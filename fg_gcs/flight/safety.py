@@ -11,6 +11,7 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Separation, closest_approach
 from fg_gcs.plan.limits import Rules
+from fg_gcs.plan.rules import outside, too_close
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -76,11 +77,11 @@ def faults(vehicles: Sequence[Vehicle], positions_enu_m: Array, rules: Rules, no
     fresh = [row for row, vehicle in enumerate(vehicles) if now_s - vehicle.position_at_s < STALE_S]
     if len(fresh) > 1:
         nearest = closest_approach(positions_enu_m[None, fresh], np.zeros(1))
-        if nearest.violates(rules.separation_m):
+        if too_close(nearest.distance_m, rules.separation_m):
             found.append(_too_close([vehicles[row].system_id for row in fresh], nearest, rules))
     for row in fresh:
         excess_m = float(rules.fence.excess_m(positions_enu_m[row]))
-        if excess_m > FENCE_SLACK_M:
+        if outside(excess_m - FENCE_SLACK_M):
             system_id = vehicles[row].system_id
             found.append(Fault(Kind.FENCE, (system_id,), f"vehicle {system_id} {Kind.FENCE.value} by {excess_m:.1f} m"))
     return found

@@ -13,6 +13,7 @@ from fg_gcs.errors import FgError, MissionError
 from fg_gcs.mission.model import Mission
 from fg_gcs.mission.tables import Problem
 from fg_gcs.mission.target_tables import CsvSource, MovingTarget, ScriptSource, UdpSource, VehicleSource
+from fg_gcs.plan.rules import outside
 
 SIMULATED_KINDS = ("static", "waypoints", "circle", "figure_eight")  # that the simulator's target vehicles can fly
 READ_BY = {  # keys of [targets.sensor] that mean something, by kind of source; a simulated vehicle is seen by a sensor
@@ -143,7 +144,7 @@ def _known(target: MovingTarget, number: int) -> _Known | Problem:
 def _way_contradictions(mission: Mission, known: _Known, number: int) -> Iterator[Problem]:
     """Yield what is wrong with the way of one target by itself."""
     excess_m = float(mission.fence.box().excess_m(known.box_enu_m).max())
-    if excess_m > 0.0:
+    if outside(excess_m):
         text = f"goes up to {excess_m:.2f} m outside the fence; accepted: places inside, or a larger fence"
         yield Problem(known.table, _of(known.key, number), text)
     limit_m_s = mission.limits.speed_m_s
@@ -169,7 +170,7 @@ def _reach_contradictions(mission: Mission, ways: Sequence[_Known]) -> Iterator[
     weights = [target.weight for target in mission.targets or []]
     low, high = np.average([way.box_enu_m for way in ways], axis=0, weights=weights)
     excess_m = float(mission.fence.box().excess_m(np.array([low - reach_m, high + reach_m])).max())
-    if excess_m > 0.0:
+    if outside(excess_m):
         text = (
             f"the formation around it reaches {reach_m:.2f} m, up to {excess_m:.2f} m out of the fence; accepted: "
             "places as much further inside, or a larger fence"

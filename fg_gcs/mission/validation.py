@@ -12,6 +12,7 @@ from fg_gcs.errors import PlanError
 from fg_gcs.mission.model import Mission, TargetTable
 from fg_gcs.mission.tables import Point, Problem
 from fg_gcs.mission.target_validation import target_problems_of
+from fg_gcs.plan.rules import outside, too_close
 
 
 def problems_of(mission: Mission) -> Iterator[Problem]:
@@ -51,7 +52,7 @@ def _formation_contradictions(mission: Mission) -> Iterator[Problem]:
         text = f"{vehicles} vehicles for {slots} slots of the formation; accepted: {slots}"
         yield Problem("swarm", "vehicles", text)
     separation = mission.limits.separation_m
-    if formation.smallest_separation_m < separation:
+    if too_close(formation.smallest_separation_m, separation):
         text = (
             f"{separation:g} m, but the closest slots of the formation are {formation.smallest_separation_m:.2f} m "
             "apart; accepted: less than that, or a wider formation"
@@ -63,7 +64,7 @@ def _formation_contradictions(mission: Mission) -> Iterator[Problem]:
         yield Problem("formation", "normal_enu", str(error))
         return
     excess = mission.fence.box().excess_m(places)
-    if excess.max() > 0:
+    if outside(excess.max()):
         text = f"slot {int(excess.argmax()) + 1} lies {excess.max():.2f} m outside the fence; accepted: a centre inside"
         yield Problem("formation", "centre_enu_m", text)
 
@@ -109,7 +110,7 @@ def _place_contradictions(key: str, which: str, point: Point, fence: Fence) -> I
     if point[2] < floor:
         text = f"{which}up = {point[2]:g} m lies below the floor; accepted: {floor:g} or more ([fence] low_enu_m)"
         yield Problem("target", key, text)
-    elif fence.excess_m(np.array(point)) > 0:
+    elif outside(float(fence.excess_m(np.array(point)))):
         yield Problem("target", key, f"{which}{list(point)} lies outside the fence; accepted: a point inside")
 
 
@@ -125,7 +126,7 @@ def _size_contradictions(mission: Mission) -> Iterator[Problem]:
         yield Problem(table, key, text)
         return
     separation, closest_m = mission.limits.separation_m, formation.smallest_separation_m * radius_m / inscribed_m
-    if closest_m < separation:
+    if too_close(closest_m, separation):
         least_m = math.ceil(100.0 * inscribed_m * separation / formation.smallest_separation_m) / 100.0
         text = (
             f"for a target of radius {radius_m:.2f} m the closest slots of the formation are {closest_m:.2f} m apart; "

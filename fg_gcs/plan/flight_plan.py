@@ -16,8 +16,9 @@ from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
+from fg_gcs.plan.rules import Peaks
 from fg_gcs.plan.targets import Target
-from fg_gcs.plan.trajectory import Peaks, timed
+from fg_gcs.plan.trajectory import timed
 from fg_gcs.plan.transit import NOTHING, Transit, gather, scatter
 from fg_gcs.plan.verification import CheckedPlan, check
 

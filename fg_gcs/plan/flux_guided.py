@@ -26,8 +26,9 @@ from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.path.poses import Poses
-from fg_gcs.plan.search.fenced import furthest_outside, search_inside
-from fg_gcs.plan.search.rigid import FOUND, NO_NUMBERS, ON_RIM, TOO_MANY, centre_of, search
+from fg_gcs.plan.search.pose_model import centre_of
+from fg_gcs.plan.search.rigid import furthest_outside, search, search_inside
+from fg_gcs.plan.search.steps import FOUND, NO_NUMBERS, ON_RIM, TOO_MANY
 from fg_gcs.plan.targets import Charges
 
 MAX_STEPS = 400  # a plan takes some 30; beyond this something is wrong, and saying so beats hanging

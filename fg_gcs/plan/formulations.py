@@ -24,8 +24,8 @@ from fg_gcs.plan.free import plan_leaders
 from fg_gcs.plan.path.leader_paths import LeaderPath, LeadersPath
 from fg_gcs.plan.path.rigid_path import PosePath
 from fg_gcs.plan.path.swarm_path import SwarmPath
+from fg_gcs.plan.rules import outside
 from fg_gcs.plan.targets import Charges
-from fg_gcs.plan.verification import ON_FENCE_M
 
 Indices = NDArray[np.intp]
 
@@ -142,7 +142,7 @@ def free(
         )
     found = plan_leaders(formation, start, source, hold_depth_m)
     outside_m = _outside_m(formation, found, fence)
-    if outside_m > ON_FENCE_M:
+    if outside(outside_m):
         raise PlanError(
             f"the free formulation's path would be {outside_m:.2f} m outside the fence and it cannot bend it; {INSTEAD}"
         )

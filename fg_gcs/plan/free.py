@@ -40,7 +40,7 @@ from fg_gcs.errors import PlanError
 from fg_gcs.plan.path.leader_paths import LeaderPath
 from fg_gcs.plan.search.free import restore, search
 from fg_gcs.plan.search.free_model import Shape
-from fg_gcs.plan.search.rigid import FOUND, ON_RIM, STEP_M
+from fg_gcs.plan.search.steps import FOUND, ON_RIM, STEP_M
 
 MAX_STEPS = 1000  # a plan takes some 40; beyond this something is wrong, and saying so beats hanging
 PAIR_SHARE = 0.95  # least distance of leaders that are no neighbours, of that in the formation's own shape: no folding

@@ -12,10 +12,11 @@ import numpy as np
 
 from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.separation import Separation
+from fg_gcs.core.separation import Fence, Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.limits import Limits
 from fg_gcs.plan.path.swarm_path import SwarmPath
+from fg_gcs.plan.rules import INSTANT_S, Peaks, exceeded, limit_shares, sizes
 from fg_gcs.plan.timing.profile import Profile
 from fg_gcs.plan.timing.time_optimal import time_optimal
 
@@ -24,8 +25,6 @@ SURVEY_HZ = 200.0  # density of the verification, besides the instants where the
 JERK_HZ = 1000.0  # where jerk is limited: it is taken from differences of accelerations
 SURVEY_PLACES = 4_000  # instants times vehicles looked at together: 0.3 MB of work space, which stays in the cache
 BETWEEN_SAMPLES = 2e-3  # how much a peak between two samples of the verification may exceed them both
-ROUNDING = 1e-6  # share by which a stretched trajectory may exceed a limit, no more
-STEP_S = 1e-4  # instants closer than this tell rounding, not jerk
 POWERS = {"speed_m_s": 1, "acceleration_m_s2": 2, "jerk_m_s3": 3, "climb_m_s": 1, "descent_m_s": 1}  # of stretched time
 MENDS = 8  # timings tried from or to a moving end; two or three do
 
@@ -36,16 +35,6 @@ class Sample(NamedTuple):
     position_m: Array  # [m; ENU]
     velocity_m_s: Array  # [m/s; ENU]
     acceleration_m_s2: Array  # [m/s^2; ENU]
-
-
-class Peaks(NamedTuple):
-    """Largest values over all vehicles and times."""
-
-    speed_m_s: float
-    acceleration_m_s2: float
-    jerk_m_s3: float  # of differences between dense samples
-    climb_m_s: float
-    descent_m_s: float
 
 
 class Moment(NamedTuple):
@@ -63,6 +52,10 @@ class Survey(NamedTuple):
     peaks: Peaks
     low_enu_m: Array  # (3,) corners of the box that it stays in [m]
     high_enu_m: Array
+
+    def excess_m(self, fence: Fence) -> float:
+        """Return by how much a vehicle leaves the fence, negative inside [m]."""
+        return float(fence.excess_m(np.stack((self.low_enu_m, self.high_enu_m))).max())
 
     def slower(self, factor: float) -> Survey:
         """Return what the same look finds when all is flown ``factor`` times slower.
@@ -172,25 +165,20 @@ def timed(path: SwarmPath, limits: Limits, start_speed: float = 0.0, end_speed: 
     if start_speed == 0.0 and end_speed == 0.0:
         trajectory = Trajectory(path, Profile(time_optimal(path, limits), window_s), survey_hz)
         peaks = trajectory.survey.peaks
-        worst = max(share ** (1.0 / POWERS[name]) for name, share in shares(peaks, limits).items())
+        worst = max(share ** (1.0 / POWERS[name]) for name, share in limit_shares(peaks, limits).items())
         return trajectory if worst < 1.0 - BETWEEN_SAMPLES else trajectory.slower(worst * (1.0 + BETWEEN_SAMPLES))
     leads_m = _leads(path, start_speed, end_speed, window_s)
     cruise = limits
     for _ in range(MENDS):
         timing = time_optimal(path, limits, start_speed, end_speed, leads_m, cruise)
         trajectory = Trajectory(path, Profile(timing, window_s), survey_hz)
-        reached = shares(trajectory.survey.peaks, limits)
-        if max(reached.values()) <= 1.0 + ROUNDING:
+        reached = limit_shares(trajectory.survey.peaks, limits)
+        if not exceeded(trajectory.survey.peaks, limits):
             return trajectory
         cruise = _lowered(cruise, reached)
     name = max(reached, key=lambda each: reached[each])
     reason = excess(trajectory, name, trajectory.survey.peaks, limits, 0.0)
     raise PlanError(f"no timing from {start_speed:.2f} to {end_speed:.2f} m/s keeps the limits: {reason}")
-
-
-def shares(peaks: Peaks, limits: Limits) -> dict[str, float]:
-    """What share of each limit the peaks reach, by the limits' names."""
-    return {name: getattr(peaks, name) / getattr(limits, name) for name in POWERS}
 
 
 def _lowered(cruise: Limits, reached: dict[str, float]) -> Limits:
@@ -225,7 +213,7 @@ def _leads(path: SwarmPath, start_speed: float, end_speed: float, window_s: floa
 def excess(piece: Trajectory, name: str, peaks: Peaks, limits: Limits, start_s: float) -> str:
     """Say which vehicle exceeds a limit most, when and where, and what would help."""
     peak, limit = getattr(peaks, name), getattr(limits, name)
-    moment = piece.largest(lambda sample, time_s: _sizes(name, sample, time_s))
+    moment = piece.largest(lambda sample, time_s: sizes(name, sample.velocity_m_s, sample.acceleration_m_s2, time_s))
     who = f"vehicle {moment.vehicle + 1}"
     value = moment.value
     if value <= limit:  # only the points that stand for the vehicles of a large swarm exceed it
@@ -236,19 +224,6 @@ def excess(piece: Trajectory, name: str, peaks: Peaks, limits: Limits, start_s: 
         f"at {place_text(moment.position_enu_m)}; fly {slower:.3f} times slower "
         f"or raise the limit by {peak - limit:.3f}"
     )
-
-
-def _sizes(name: str, sample: Sample, time_s: Array) -> Array:
-    """What the limit of that name bounds, of every vehicle at every instant, shape (T, V)."""
-    if name in ("climb_m_s", "descent_m_s"):
-        return sample.velocity_m_s[:, :, 2] * (1.0 if name == "climb_m_s" else -1.0)
-    if name == "jerk_m_s3":
-        steps = np.diff(time_s)
-        changes = np.linalg.norm(np.diff(sample.acceleration_m_s2, axis=0), axis=2)
-        jerks = np.where(steps > STEP_S, 1.0 / np.maximum(steps, STEP_S), 0.0)[:, None] * changes
-        return np.concatenate((np.zeros((1, jerks.shape[1])), jerks))
-    norms: Array = np.linalg.norm(sample.velocity_m_s if name == "speed_m_s" else sample.acceleration_m_s2, axis=2)
-    return norms
 
 
 def place_text(position_m: Array) -> str:
@@ -320,7 +295,7 @@ def extrema(
                 low[k] = min(low[k], position[i, v, k])
                 high[k] = max(high[k], position[i, v, k])
             speed2, acceleration2 = max(speed2, v2), max(acceleration2, a2)
-            if step > STEP_S:
+            if step > INSTANT_S:
                 jerk2 = max(jerk2, j2 / (step * step))
             peaks[3] = max(peaks[3], first[i, v, 2] * rate[i])
             peaks[4] = max(peaks[4], -first[i, v, 2] * rate[i])

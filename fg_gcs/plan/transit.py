@@ -22,6 +22,7 @@ from fg_gcs.core.separation import Separation, closest_approach
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.path.swarm_path import LinePath
+from fg_gcs.plan.rules import too_close
 from fg_gcs.plan.trajectory import Trajectory, timed
 
 Indices = NDArray[np.intp]
@@ -81,7 +82,7 @@ def _open_out(formation_m: Array, places_m: Array, rules: Rules, obstacles_m: Ar
         _, member_of = linear_sum_assignment(cdist(places_m, wide, "sqeuclidean"))
         far = _closest(places_m, wide[member_of], obstacles_m)
         near = _closest(wide, formation_m, obstacles_m)  # opening parts every pair, but may run into an obstacle
-        if not (far.violates(needed_m) or near.violates(rules.separation_m)):
+        if not (too_close(far.distance_m, needed_m) or too_close(near.distance_m, rules.separation_m)):
             return member_of, wide
     raise PlanError(
         f"no straight lines between pads and formation keep {needed_m:.2f} m apart (with the widest opening they come "

@@ -12,9 +12,9 @@ from fg_gcs.core.frames import yaw_from_enu
 from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.trajectory import ROUNDING, Peaks, Sample, Trajectory, excess, place_text, shares
+from fg_gcs.plan.rules import Peaks, exceeded, outside, too_close
+from fg_gcs.plan.trajectory import Sample, Trajectory, excess, place_text
 
-ON_FENCE_M = 1e-6  # a micrometre: rounding of places that lie on the fence itself
 YAW_BLEND_M = 1.0  # a vehicle this close to the vertical through its target has no bearing to it; blend over
 
 
@@ -77,14 +77,13 @@ def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> Chec
     surveys = [piece.survey for piece in pieces]
     peaks = Peaks(*np.max([survey.peaks for survey in surveys], axis=0).tolist())
     for piece, survey, start_s in zip(pieces, surveys, starts_s, strict=False):
-        for name, share in shares(survey.peaks, rules.limits).items():
-            if share > 1.0 + ROUNDING:
-                raise PlanError(excess(piece, name, survey.peaks, rules.limits, float(start_s)))
-        if rules.fence.excess_m(np.stack((survey.low_enu_m, survey.high_enu_m))).max() > ON_FENCE_M:
+        for name in exceeded(survey.peaks, rules.limits):
+            raise PlanError(excess(piece, name, survey.peaks, rules.limits, float(start_s)))
+        if outside(survey.excess_m(rules.fence)):
             raise _outside(piece, float(start_s), rules)
     found = [(piece.closest, float(start_s)) for piece, start_s in zip(pieces, starts_s, strict=False)]
     separation = min(closest._replace(time_s=closest.time_s + start_s) for closest, start_s in found)
-    if separation.violates(rules.separation_m):
+    if too_close(separation.distance_m, rules.separation_m):
         first, second = separation.pair
         raise PlanError(
             f"vehicles {first + 1} and {second + 1} would come within {separation.distance_m:.2f} m of each other "

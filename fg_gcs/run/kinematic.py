@@ -19,8 +19,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import FACING, coverage, flux_metric
 from fg_gcs.core.formation import Pose
 from fg_gcs.core.separation import closest_approach
-from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.trajectory import Peaks
+from fg_gcs.plan.rules import Peaks, broken, peaks_of
 from fg_gcs.scenario.motions import TrueMotion
 from fg_gcs.scenario.sensor import Measurement, Sensor
 from fg_gcs.track.follow.formation_frames import Frames
@@ -116,7 +115,7 @@ class KinematicSimulation:
         taken = sum(replan.taken for replan in self.replans)
         separation_m = closest_approach(self.position_m, self.time_s).distance_m
         outside_m = float(rules.fence.excess_m(self.position_m).max())
-        peaks = self._peaks()
+        peaks = peaks_of(self.velocity_m_s, self.acceleration_m_s2, self.time_s)
         return Figures(
             caught_s=self.caught_s,
             error_rms_m=float(np.sqrt((error[settled] ** 2).mean())) if settled.any() else None,
@@ -132,7 +131,7 @@ class KinematicSimulation:
             replans_refused=len(self.replans) - taken,
             replan_median_ms=float(np.median(took_ms)) if took_ms else None,
             replan_p99_ms=float(np.percentile(took_ms, 99.0)) if took_ms else None,
-            broken=_broken(rules, peaks, separation_m, outside_m),
+            broken=broken(peaks, outside_m, separation_m, rules),
         )
 
     def _coverage_on_the_way(self, rims: Array) -> float | None:
@@ -152,17 +151,6 @@ class KinematicSimulation:
             there = self.time_s[(self.time_s >= seen_s) & (error < self.tracking.capture_m)]
             found.append(float(there[0] - seen_s) if len(there) else None)
         return tuple(found)
-
-    def _peaks(self) -> Peaks:
-        jerk = np.diff(self.acceleration_m_s2, axis=0) / TICK_S
-        rise = self.velocity_m_s[..., 2]
-        return Peaks(
-            float(np.linalg.norm(self.velocity_m_s, axis=2).max()),
-            float(np.linalg.norm(self.acceleration_m_s2, axis=2).max()),
-            float(np.linalg.norm(jerk, axis=2).max()),
-            float(rise.max()),
-            float(-rise.min()),
-        )
 
     def _steps(self) -> dict[str, float]:
         velocity = self.velocity_m_s
@@ -244,20 +232,6 @@ def simulate_kinematics(
         replans=tuple(replans),
         caught_s=core.caught_s,
     )
-
-
-def _broken(rules: Rules, peaks: Peaks, separation_m: float, outside_m: float) -> tuple[str, ...]:
-    limits = rules.limits
-    kept = {
-        "speed": peaks.speed_m_s <= limits.speed_m_s,
-        "acceleration": peaks.acceleration_m_s2 <= limits.acceleration_m_s2,
-        "jerk": peaks.jerk_m_s3 <= limits.jerk_m_s3,
-        "climb": peaks.climb_m_s <= limits.climb_m_s,
-        "descent": peaks.descent_m_s <= limits.descent_m_s,
-        "separation": separation_m >= rules.separation_m,
-        "fence": outside_m <= 0.0,
-    }
-    return tuple(name for name, holds in kept.items() if not holds)
 
 
 def _arrivals(motions: Mapping[str, TrueMotion], sensors: Sequence[Sensor]) -> Iterator[Measurement]:

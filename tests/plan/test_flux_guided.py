@@ -11,7 +11,7 @@ from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import FluxPath, plan_path
 from fg_gcs.plan.path.rigid_path import PosePath
-from fg_gcs.plan.search.rigid import charged_flux, place, pose_derivatives, turned
+from fg_gcs.plan.search.pose_model import charged_flux, place, pose_derivatives, turned
 from fg_gcs.plan.targets import Charges
 from tests.plan.scenes import PAPER, START
 

@@ -32,9 +32,7 @@ from fg_gcs.run import fly as run_mission
 from tests.flight.harness import CIRCLING, SMALL
 
 IMPOSSIBLE = (  # the free formulation bends no path, and the shortest way behind the formation leads over the fence
-    SMALL.replace("[hold]", '[plan]
-formulation = "free"
-[hold]')
+    SMALL.replace("[hold]", '[plan]\nformulation = "free"\n[hold]')
     .replace("30.0, 30.0, 30.0", "30.0, 30.0, 13.6")
     .replace("[-6.0, 10.0, 12.0]", "[-12.0, 0.0, 12.0]")
 )

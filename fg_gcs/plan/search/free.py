@@ -14,20 +14,18 @@ from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.kernels import polygon_flux
 from fg_gcs.plan.search.free_model import Shape, distance, distance_row, factor, held_rows, least_change, model
-from fg_gcs.plan.search.rigid import (
+from fg_gcs.plan.search.steps import (
     ACCEPT,
     FOUND,
     NEAR_RIM,
     ON_RIM,
-    STEP_GROWTH,
-    STEP_M,
-    STEP_OF_DISTANCE,
-    SURROUNDED,
     TOO_MANY,
     TURN_RAD,
-    TURNED,
+    longest_step,
+    surrounds,
+    turn_by,
 )
-from fg_gcs.plan.search.trust_region import maximise_in_ball
+from fg_gcs.plan.search.trust_region import gain, maximise_in_ball
 
 BEND = 0.05  # largest change of shape in one step, as a share of the face's size: linearised edges hold that far
 DEPARTURE = 0.15  # most that a leader departs from its slot, of the face's size: a face of any outline stays simple
@@ -64,24 +62,24 @@ def search(
     kept, region, bound, supple = 1, 1.0, math.inf, True
     tipping = False  # turning against the flux, out of the place where it is highest among those that look away
     source = rotation.T @ (target - centre)
-    bound = _step_bound(source, bound)
+    bound = longest_step(_length(source), source[0], bound)
     for tried in range(frames.shape[0] - 1):
         _place(shape, departure, places)
         flux = polygon_flux(places, source)
-        if (flux + 4.0 * math.pi if flux < -math.pi else flux) > SURROUNDED * 2.0 * math.pi:
+        if surrounds(flux):
             return FOUND, kept, tried
         if _on_rim(places, source, shape.size_m):
             return ON_RIM, kept, tried
         first, last = (0, 2 * count if supple else 6) if flux > 0.0 else (3, 6)
         step, predicted = _best_step(shape, departure, places, source, first, last, region * bound)
         tipping = flux <= 0.0 and (tipping or predicted <= -STUCK * flux)
-        if tipping and math.sqrt((source * source).sum()) <= shape.reach_m:
+        if tipping and _length(source) <= shape.reach_m:
             return FOUND, kept, tried
         if tipping:
             step[3:6] = _tip(source, min(bound / shape.size_m, TURN_RAD))
         moved[:] = departure
         valid = last == 6 or _bend(shape, moved, step)
-        turn = _turn(step[3], step[4], step[5])
+        turn = turn_by(step[3], step[4], step[5])
         _place(shape, moved, places)
         gained = polygon_flux(places, turn.T @ (source - step[:3])) - flux
         if not (tipping or (valid and predicted > 0.0 and gained > ACCEPT * predicted)):
@@ -97,7 +95,7 @@ def search(
         kept, supple = kept + 1, True
         source = rotation.T @ (target - centre)
         region = min(1.0, 2.0 * region)
-        bound = _step_bound(source, bound)
+        bound = longest_step(_length(source), source[0], bound)
     return TOO_MANY, kept, frames.shape[0] - 1
 
 
@@ -160,7 +158,7 @@ def _best_step(
         unit = maximise_in_ball(reduced_gradient, reduced_hessian)
         for k in range(first, 6):
             step[k] = (size if k < 3 else turn) * unit[k - first]
-        return step, _gain(reduced_gradient, reduced_hessian, unit)
+        return step, gain(reduced_gradient, reduced_hessian, unit)
     unit = maximise_in_ball(gradient, hessian)
     bends = dofs - 6
     row = np.empty(3 * count)
@@ -182,7 +180,7 @@ def _best_step(
         unit = _constrained(gradient, hessian, rows[: active + 1].copy(), gaps[: active + 1].copy())
     for k in range(3):
         step[k], step[3 + k] = size * unit[k], turn * unit[3 + k]
-    return step, _gain(gradient, hessian, unit)
+    return step, gain(gradient, hessian, unit)
 
 
 @kernel
@@ -236,31 +234,6 @@ def _closest(shape: Shape, departure: Array, step: Array) -> int:
 
 
 @kernel
-def _turn(x: float, y: float, z: float) -> Array:
-    """Return the rotation by a turn vector [rad] (Rodrigues)."""
-    angle2 = x * x + y * y + z * z
-    if angle2 < 1e-24:  # a turn of a picoradian is none
-        return np.eye(3)
-    angle = math.sqrt(angle2)
-    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
-    turn = np.empty((3, 3))
-    turn[0, 0], turn[0, 1], turn[0, 2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
-    turn[1, 0], turn[1, 1], turn[1, 2] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
-    turn[2, 0], turn[2, 1], turn[2, 2] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
-    return turn
-
-
-@kernel
-def _gain(gradient: Array, hessian: Array, step: Array) -> float:
-    gain = 0.0
-    for i in range(len(step)):
-        gain += gradient[i] * step[i]
-        for j in range(len(step)):
-            gain += 0.5 * step[i] * hessian[i, j] * step[j]
-    return gain
-
-
-@kernel
 def _bend(shape: Shape, departure: Array, step: Array) -> bool:
     """Change the departures by a step, drawn in as a whole where one becomes too large; say whether a shape is left."""
     largest = 0.0
@@ -310,18 +283,14 @@ def _tip(source: Array, angle: float) -> Array:
 
 
 @kernel
-def _step_bound(source: Array, last: float) -> float:
-    """Largest move of the leaders in one step, root mean square; long when the face looks at a far target [m]."""
-    distance = math.sqrt(source[0] ** 2 + source[1] ** 2 + source[2] ** 2)
-    if source[0] <= TURNED * distance:
-        return STEP_M
-    return max(STEP_M, min(STEP_OF_DISTANCE * distance, STEP_GROWTH * last))
-
-
-@kernel
 def _keep(frames: Array, departures: Array, row: int, centre: Array, rotation: Array, departure: Array) -> None:
     for i in range(3):
         frames[row, i] = centre[i]
         for k in range(3):
             frames[row, 3 + 3 * i + k] = rotation[i, k]
     departures[row] = departure
+
+
+@kernel
+def _length(vector: Array) -> float:
+    return math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)

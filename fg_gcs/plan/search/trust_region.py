@@ -57,6 +57,17 @@ def maximise_in_ball(gradient: Array, hessian: Array) -> Array:
 
 
 @kernel
+def gain(gradient: Array, hessian: Array, step: Array) -> float:
+    """Return what the quadratic model promises of a step, ``g . x + x . H x / 2``."""
+    promised = 0.0
+    for i in range(len(step)):
+        promised += gradient[i] * step[i]
+        for j in range(len(step)):
+            promised += 0.5 * step[i] * hessian[i, j] * step[j]
+    return promised
+
+
+@kernel
 def _bracket(gradient: Array, hessian: Array) -> tuple[float, float]:
     """Bounds of the multiplier: by the diagonal, and by the row sums that bound every eigenvalue."""
     count = len(gradient)

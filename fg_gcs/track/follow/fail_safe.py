@@ -13,7 +13,8 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
 from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.trajectory import Peaks, extrema
+from fg_gcs.plan.rules import Peaks, broken
+from fg_gcs.plan.trajectory import Survey, extrema
 from fg_gcs.track.follow.axes import Axes
 from fg_gcs.track.follow.formation_frames import AXES, Frames, State, frames_of, state_of
 
@@ -21,7 +22,6 @@ VERIFIED_EVERY_S = (
     0.04  # between instants of the verification, besides the axes' seams: speeds bend by centimetres a second
 )
 RESERVE = 1.008  # what lies between the instants of the verification may exceed them by
-ROUNDING = 1e-9  # of scales that are computed; the separation itself is a round number
 
 
 class FailSafeTrajectory:
@@ -78,16 +78,7 @@ class Verification(NamedTuple):
 
         Jerk is bounded joint by joint when a trajectory is made.
         """
-        limits, peaks = rules.limits, self.peaks
-        return (
-            peaks.speed_m_s <= limits.speed_m_s
-            and peaks.acceleration_m_s2 <= limits.acceleration_m_s2
-            and peaks.jerk_m_s3 <= limits.jerk_m_s3
-            and peaks.climb_m_s <= limits.climb_m_s
-            and peaks.descent_m_s <= limits.descent_m_s
-            and self.outside_m <= 0.0
-            and self.scale * smallest_m >= rules.separation_m * (1.0 - ROUNDING)
-        )
+        return not broken(self.peaks, self.outside_m, self.scale * smallest_m, rules)
 
 
 def verify(trajectory: FailSafeTrajectory, outline_m: Array, rules: Rules) -> Verification:
@@ -103,5 +94,5 @@ def verify(trajectory: FailSafeTrajectory, outline_m: Array, rules: Rules) -> Ve
     peaks, low, high = np.zeros(len(Peaks._fields)), np.full(3, np.inf), np.full(3, -np.inf)
     steady = np.ones(len(time_s)), np.zeros(len(time_s))  # time is its own parameter
     extrema(*frames.swarm(outline_m), *steady, time_s, peaks, low, high)
-    outside_m = float(rules.fence.excess_m(np.stack((low, high))).max())
-    return Verification(Peaks(*(RESERVE * peaks).tolist()), outside_m, float(frames.scale.min()))
+    survey = Survey(Peaks(*(RESERVE * peaks).tolist()), low, high)
+    return Verification(survey.peaks, survey.excess_m(rules.fence), float(frames.scale.min()))
