@@ -11,7 +11,8 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.autopilots import profile_of
-from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, Sender, is_known
+from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, is_known
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
 MOST_PEERS: Final = 512  # addresses kept; a flood of made-up senders must not fill the memory

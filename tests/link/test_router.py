@@ -12,7 +12,8 @@ from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.router import Direction, Router
 from fg_gcs.wire import commands
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
-from fg_gcs.wire.codec import Codec, Message, Sender
+from fg_gcs.wire.codec import Codec, Message
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle

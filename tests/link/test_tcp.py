@@ -27,7 +27,8 @@ from fg_gcs.link.endpoint import (
     parse_endpoint,
 )
 from fg_gcs.link.router import Router
-from fg_gcs.wire.codec import Message, Sender
+from fg_gcs.wire.codec import Message
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.vehicle import Vehicle
 
 FAST = 1000.0  # times real time: pauses pass in milliseconds, with real sockets

@@ -7,8 +7,9 @@ from pymavlink.dialects.v20 import all as dialect
 from fg_gcs.errors import VehicleError
 from fg_gcs.wire import commands
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
-from fg_gcs.wire.codec import Codec, Message, Sender
+from fg_gcs.wire.codec import Codec, Message
 from fg_gcs.wire.commands import Dialogue, Request, State
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.params import Encoding, encode
 from fg_gcs.wire.vehicle import Vehicle
 

@@ -5,7 +5,8 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
-from fg_gcs.wire.codec import Codec, Message, Sender, is_known
+from fg_gcs.wire.codec import Codec, Message, is_known
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Origin, Vehicle
 
