@@ -11,10 +11,10 @@ import numpy as np
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.errors import PlanError, VehicleError
 from fg_gcs.flight.fleet import STEP_S, Fleet, names, until
-from fg_gcs.flight.formation_motion import FormationMotion
 from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.motions import Brake, Follow, FormationMotion, Motion, Rest
 from fg_gcs.flight.safety import CONSEQUENCES, Action, Kind, faults
-from fg_gcs.flight.streamer import Brake, Follow, Motion, Rest, Streamer
+from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.target_follower import TargetFollower
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission.model import Mission
@@ -260,9 +260,10 @@ class Sortie:
             brake = self.streamer.motion = Brake(motion, self._time())
             await asyncio.sleep(brake.end_s - self._time())
             return brake
-        assert self._target_follower is not None, "nothing else chases"
-        await asyncio.sleep(self._target_follower.stop() - self._time())
-        return motion
+        assert self._target_follower is not None, "nothing else moves a formation"
+        resting, rests_s = self._target_follower.stop()
+        await asyncio.sleep(rests_s - self._time())
+        return resting
 
     def _way_home(self, still: Motion, rows: Sequence[int]) -> CheckedPlan:
         """Plan and verify the way home of those at ``rows`` from where they have come to rest."""
