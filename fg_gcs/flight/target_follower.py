@@ -15,7 +15,7 @@ from fg_gcs.core.frames import Geodetic
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.motions import FormationMotion, Gaze, Headings
 from fg_gcs.flight.planning import LATE_S, Planning
-from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, Sources
+from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, SightingSources
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import Task
@@ -95,7 +95,7 @@ class TargetFollower:
         self._streamer = streamer
         self._journal = journal
         self._stopwatch = stopwatch
-        self._sources = Sources(mission.targets or [], self._sighted, self._refused, simulated_endpoint)
+        self._sources = SightingSources(mission.targets or [], self._sighted, self._refused, simulated_endpoint)
         self._time = asyncio.get_running_loop().time
         self._wake = asyncio.Event()
         self._core: FollowingCore | None = None
