@@ -25,7 +25,7 @@ from fg_gcs.errors import FgError, LinkError, MissionError
 from fg_gcs.flight.director import Director, FlightResult, Setup
 from fg_gcs.flight.target_follower import warm_up
 from fg_gcs.link.clock import make_loop
-from fg_gcs.link.endpoint import parse_endpoint
+from fg_gcs.link.endpoint import parse_networks
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.record.evaluate.evaluation import evaluate, evaluate_tracking
 from fg_gcs.record.evaluate.tracking import KEYS, Followed
@@ -66,13 +66,14 @@ def fly(path: Path, options: Options) -> int:
     mission = load_mission(path)
     text = path.read_text()
     virtual = math.isinf(options.speed)
-    if virtual and options.endpoints:
-        raise MissionError("--speed max: only the built-in simulator lives in virtual time; leave --connect out")
-    for endpoint in options.endpoints:
-        try:
-            parse_endpoint(endpoint)
-        except LinkError as error:
-            raise MissionError(f"--connect: {error}") from error
+    if virtual and (options.endpoints or mission.connections()):
+        what = "--connect" if options.endpoints else "[networks]"
+        raise MissionError(f"--speed max: only the built-in simulator lives in virtual time; leave {what} out")
+    try:
+        parse_networks(options.endpoints or mission.connections())
+    except LinkError as error:
+        what = "--connect" if options.endpoints else f"{path}: [networks]"
+        raise MissionError(f"{what}: {error}") from error
     try:
         folder = make_folder(options.logs, path.stem, datetime.now())
     except OSError as error:
@@ -93,7 +94,7 @@ def fly(path: Path, options: Options) -> int:
 async def _fly(path: Path, text: str, mission: Mission, options: Options, folder: Path) -> FlightResult:
     loop = asyncio.get_running_loop()
     virtual = math.isinf(options.speed)
-    simulated = not options.endpoints
+    simulated = not (options.endpoints or mission.connections())
     autopilot = options.autopilot or mission.simulator.autopilot
     with ExitStack() as stack:
         epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
@@ -103,7 +104,7 @@ async def _fly(path: Path, text: str, mission: Mission, options: Options, folder
             console = Console(file=stack.enter_context(unhurried(sys.stderr)), highlight=False)
         progress = stack.enter_context(Progress(mission, console, live=not virtual and console.is_terminal))
         recorder.listener = progress.event
-        endpoints = options.endpoints
+        endpoints = options.endpoints or mission.connections()
         if simulated:
             port = VIRTUAL_PORT if virtual else free_port()
             endpoints = (f"udpin:127.0.0.1:{port}",)
@@ -117,7 +118,7 @@ async def _fly(path: Path, text: str, mission: Mission, options: Options, folder
         if not virtual:
             stack.enter_context(targets_process(mission, targets_port, options.speed, folder / "targets.log"))
         targets_endpoint = f"udpin:127.0.0.1:{targets_port}"
-        setup = Setup(endpoints, options.wait_s, simulated, time.perf_counter, targets_endpoint)
+        setup = Setup(parse_networks(endpoints), options.wait_s, simulated, time.perf_counter, targets_endpoint)
         director = Director(mission, setup, recorder)
         async with AsyncExitStack() as in_loop:
             if simulated and virtual:
@@ -152,8 +153,8 @@ def _summary(path: Path, mission: Mission, result: FlightResult, recorder: Recor
     """The run's figures by the names of the command line's JSON."""
     summary: dict[str, object] = {"mission": str(path)}
     if result.plan is not None:
-        summary |= plan_keys(str(path), result.system_ids, result.plan)
-    leaders = [] if result.plan is None else [result.system_ids[row] for row in result.plan.rim_of]
+        summary |= plan_keys(str(path), [vehicle.label for vehicle in result.vehicles], result.plan)
+    leaders = [] if result.plan is None else [result.vehicles[row].system_id for row in result.plan.rim_of]
     limits = None if result.task is None else result.task.rules.limits
     counters = result.counters
     summary |= {"completed": result.completed, "reason": result.reason, "vehicles_landed": result.vehicles_landed}
@@ -162,7 +163,7 @@ def _summary(path: Path, mission: Mission, result: FlightResult, recorder: Recor
     summary |= _tracking_keys(mission, result, recorder, leaders)
     summary |= {
         "late_ticks": result.late_ticks,
-        "lost_vehicles": list(result.lost),
+        "lost_vehicles": [vehicle.label for vehicle in result.lost],
         "bad_bytes": counters.bad_bytes if counters else 0,
         "unknown_messages": counters.unknown_messages if counters else 0,
         "frames_in": counters.frames_in if counters else 0,

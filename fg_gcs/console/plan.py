@@ -84,7 +84,7 @@ def load_planner(formulations: Collection[FormulationName]) -> None:
     build(formulations)
 
 
-def plan_keys(name: str, system_ids: Sequence[int], made: FlightPlan) -> dict[str, object]:
+def plan_keys(name: str, system_ids: Sequence[int | str], made: FlightPlan) -> dict[str, object]:
     """Return a plan's figures by the names of the command line's JSON; peaks and separation are the whole flight's."""
     first, second = made.separation.pair
     return {

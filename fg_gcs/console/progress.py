@@ -147,11 +147,11 @@ def vehicle_lines(vehicles: Sequence[Vehicle], most: int) -> Table:
         table.add_column(name, justify="right" if name in ("id", "height", "speed", "battery") else "left")
     first = sorted(vehicles, key=lambda vehicle: vehicle.phase not in ALARMING)  # stable: else by system id
     shown = first if len(vehicles) <= most else first[: most - 1]
-    for vehicle in sorted(shown, key=lambda vehicle: vehicle.system_id):
+    for vehicle in sorted(shown, key=lambda vehicle: vehicle.address):
         speed = sum(part * part for part in vehicle.velocity_ned_m_s or ()) ** 0.5
         height = vehicle.height_m
         table.add_row(
-            str(vehicle.system_id),
+            str(vehicle.address),
             Text(vehicle.phase.name.lower(), COLOURS.get(vehicle.phase, "")),
             vehicle.mode_name,
             "" if height is None else f"{height:.1f} m",

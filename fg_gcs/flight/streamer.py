@@ -94,10 +94,10 @@ class Streamer:
         table = np.concatenate((wanted.position_m, wanted.velocity_m_s, wanted.acceleration_m_s2), axis=1).tolist()
         for index, row in enumerate(rows):
             if self._engaged[row]:
-                system_id = self._fleet.vehicles[row].system_id
+                address = self._fleet.vehicles[row].address
                 setpoint = Setpoint(positions[index], velocities[index], accelerations[index], headings[index])
-                router.send(system_id, pack_setpoint(setpoint, system_id, router.sender(system_id)))
-                record((time_s, system_id, *table[index], headings[index]))
+                router.send(address, pack_setpoint(setpoint, address.system_id, router.sender(address)))
+                record((time_s, address.system_id, *table[index], headings[index]))
         self._rounds_s.append(asyncio.get_running_loop().time())
 
     def _turned(self, motion: Motion, wanted: SwarmSetpoint, now_s: float) -> SwarmSetpoint:

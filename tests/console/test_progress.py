@@ -20,6 +20,7 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.mission import Mission
 from fg_gcs.track.follow.replanner import FollowMode
 from fg_gcs.track.sightings import Verdict
+from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import PX4
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
@@ -184,7 +185,7 @@ def test_without_a_moving_target_there_are_no_lines_for_one(tmp_path: Path) -> N
 @pytest.mark.parametrize("count", [1, 2, 7, 8, 40, 250])
 @pytest.mark.parametrize("most", [2, 7, 12])
 def test_what_needs_eyes_is_shown_however_many_there_are(count: int, most: int) -> None:
-    vehicles = [Vehicle(system_id, PX4, 0.0) for system_id in range(1, count + 1)]
+    vehicles = [Vehicle(VehicleAddress(MAIN, system_id), PX4, 0.0) for system_id in range(1, count + 1)]
     wrong = vehicles[-1]
     wrong.watch(99.0)  # the others were heard just now
     assert wrong.phase is Phase.LOST

@@ -15,6 +15,7 @@ from scipy.spatial.distance import pdist
 
 from fg_gcs.flight.director import Director, FlightResult, Setup
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
+from fg_gcs.link.endpoint import parse_networks
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.record.write.recorder import Recorder
 from sitl_mock.host.server import Simulator, SimulatorOptions
@@ -155,7 +156,7 @@ async def _fly(
             wind_m_s=wind_m_s,
         )
     )
-    setup = Setup((f"udpin:127.0.0.1:{GROUND_PORT}",), 5.0, simulated=ours, stopwatch=time.perf_counter)
+    setup = Setup(parse_networks([f"udpin:127.0.0.1:{GROUND_PORT}"]), 5.0, simulated=ours, stopwatch=time.perf_counter)
     with Recorder(folder, "", loop.time(), 0.0) as recorder:
         flight = Flight(Director(mission, setup, recorder), simulator, recorder)
         await simulator.start()
