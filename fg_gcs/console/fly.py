@@ -29,7 +29,7 @@ from fg_gcs.run.observing import Observer
 CODES = {
     Outcome.COMPLETED: ExitCode.DONE,
     Outcome.ABORTED: ExitCode.ABORTED,
-    Outcome.NO_PLAN: ExitCode.BAD_INPUT,
+    Outcome.NOT_FLOWN: ExitCode.BAD_INPUT,
     Outcome.NO_ANSWER: ExitCode.NO_ANSWER,
     Outcome.FAILED: ExitCode.INTERNAL_ERROR,
 }
@@ -52,8 +52,9 @@ def fly(path: Path, options: FlyOptions, manner: Manner) -> ExitCode:
     """
     mission = load_mission(path)
     virtual = math.isinf(manner.speed)
-    if virtual and options.connect:
-        raise MissionError("--speed max: only the built-in simulator lives in virtual time; leave --connect out")
+    if virtual and (options.connect or mission.connections()):
+        what = "--connect" if options.connect else "[networks]"
+        raise MissionError(f"--speed max: only the built-in simulator lives in virtual time; leave {what} out")
     tell_if_not_built([mission])
     prepare(mission)
     gc.collect()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, geodetic_from_enu
-from fg_gcs.errors import VehicleError
-from fg_gcs.flight.fleet import Fleet, names
+from fg_gcs.errors import MissionError, VehicleError
+from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
 from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT
@@ -20,11 +20,12 @@ from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import parse_endpoint
+from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Counters, Direction, Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight
 from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
@@ -35,7 +36,7 @@ DRAIN_S = 0.2  # how often texts and phase changes are written down: soon enough
 class Setup(NamedTuple):
     """How a run is connected."""
 
-    endpoints: tuple[str, ...]
+    networks: Mapping[str, tuple[Endpoint, ...]]  # by name, see `parse_networks`
     wait_s: float  # how long to wait for the vehicles' first heartbeats
     simulated: bool  # the vehicles are our own simulator's: the mission says where the world's origin is
     stopwatch: Callable[[], float]  # seconds, for planning times
@@ -51,10 +52,10 @@ class FlightResult:
     stages: dict[str, tuple[float, float]] = field(default_factory=dict)  # begin and end since the run's start [s]
     plan: FlightPlan | None = None
     task: Task | None = None  # as planned: under the limits that the vehicles really have
-    system_ids: tuple[int, ...] = ()  # of the vehicles that took part, ascending
+    vehicles: tuple[VehicleAddress, ...] = ()  # those that took part, ascending
     vehicles_landed: int = 0
-    lost: tuple[int, ...] = ()  # system ids that fell silent and did not come back
-    not_down: tuple[int, ...] = ()  # system ids of those that are not known to be on the ground, motors off
+    lost: tuple[VehicleAddress, ...] = ()  # those that fell silent and did not come back
+    not_down: tuple[VehicleAddress, ...] = ()  # those that are not known to be on the ground with their motors off
     late_ticks: int = 0
     counters: Counters | None = None
     tracking: TrackingSummary | None = None  # of missions with moving targets, once tracking has begun
@@ -68,7 +69,7 @@ class Director:
         fleet: the vehicles, once they are found.
         journal: the present stage and what was said.
         mission: what is flown.
-        target follower: of moving targets, once it is ready.
+        target_follower: of moving targets, once it is ready.
         streamer: the source of setpoints, once there is a plan.
     """
 
@@ -105,6 +106,11 @@ class Director:
             await self.streamer.quiet_moment()
 
     @property
+    def networks(self) -> tuple[str, ...]:
+        """Names of the networks that the vehicles are in."""
+        return tuple(self._setup.networks)
+
+    @property
     def counters(self) -> Counters:
         """What went through the sockets so far."""
         return Counters(*[0] * len(Counters._fields)) if self._router is None else self._router.counters
@@ -122,14 +128,16 @@ class Director:
 
         Raises:
             LinkError: nobody answered, or a port is taken.
+            MissionError: the mission's vehicles are in a network that is not there.
             PlanError: the mission has no plan; nothing was armed.
         """
-        endpoints = [parse_endpoint(text) for text in self._setup.endpoints]
-        router = self._router = await Router.open(endpoints, on_message=self._on_message, tap=self._tap)
-        self.journal.event("open", f"listening at {', '.join(str(endpoint) for endpoint in endpoints)}")
+        networks = self._setup.networks
+        wanted = self._wanted()
+        router = self._router = await Router.open(networks, on_message=self._on_message, tap=self._tap)
+        self.journal.event("open", f"listening at {_places(networks)}")
         background = [asyncio.create_task(router.keep_alive()), asyncio.create_task(self._drain(router))]
         try:
-            await self._run(router, background)
+            await self._run(router, wanted, background)
         finally:
             for task in background:
                 task.cancel()
@@ -145,12 +153,14 @@ class Director:
             raise self._failure
         return self.result
 
-    async def _run(self, router: Router, background: list[asyncio.Task[None]]) -> None:
+    async def _run(
+        self, router: Router, wanted: tuple[VehicleAddress, ...] | None, background: list[asyncio.Task[None]]
+    ) -> None:
         failsafes: list[Failsafes] = []
         sorties: list[Sortie] = []
 
         async def on_the_ground() -> None:
-            fleet = await self._connect(router)
+            fleet = await self._connect(router, wanted)
             with self.journal.in_stage("prepare"):
                 task = await self._prepare(fleet, failsafes)
             with self.journal.in_stage("plan"):
@@ -184,15 +194,35 @@ class Director:
             for failsafe in failsafes:
                 await self._put_back(failsafe)
 
-    async def _connect(self, router: Router) -> Fleet:
-        swarm = self.mission.swarm
+    def _wanted(self) -> tuple[VehicleAddress, ...] | None:
+        """Return the vehicles that the mission names; None where any will do.
+
+        Raises:
+            MissionError: it names a network that is not there.
+        """
+        swarm, networks = self.mission.swarm, self._setup.networks
+        if not (swarm.system_ids or self._setup.simulated):
+            return None
+        only = MAIN if len(networks) == 1 else None  # whatever the mission calls it
+        wanted = [VehicleAddress(only or network or MAIN, system_id) for network, system_id in swarm.members()]
+        elsewhere = sorted({address for address in wanted if address.network not in networks})
+        if elsewhere:
+            known = ", ".join(networks)
+            raise MissionError(f"[swarm] system_ids: {names(elsewhere)} is in no network; the networks are {known}")
+        if len(set(wanted)) < len(wanted):
+            raise MissionError(
+                "[swarm] system_ids: one network cannot have two vehicles of one id; connect all of them"
+            )
+        return tuple(sorted(wanted))
+
+    async def _connect(self, router: Router, wanted: tuple[VehicleAddress, ...] | None) -> Fleet:
+        setup, count = self._setup, self.mission.swarm.vehicles
         with self.journal.in_stage("connect"):
-            wanted = swarm.ids() if swarm.system_ids or self._setup.simulated else None
-            found = await discover(router, self._setup.endpoints, swarm.vehicles, wanted, self._setup.wait_s)
+            found = await discover(router, setup.networks, count, wanted, setup.wait_s)
             self.fleet = Fleet(router, found)
-            self.result.system_ids = tuple(self.fleet.row_of)
+            self.result.vehicles = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.profile.name for vehicle in found})
-            self.journal.event("vehicles", f"vehicles {names(self.fleet.row_of)} ({', '.join(kinds)})")
+            self.journal.event("vehicles", f"{vehicles_named(self.fleet.row_of)} ({', '.join(kinds)})")
         return self.fleet
 
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
@@ -291,8 +321,8 @@ class Director:
 
     def _count(self) -> None:
         vehicles = self.fleet.vehicles if self.fleet else ()
-        self.result.lost = tuple(vehicle.system_id for vehicle in vehicles if vehicle.phase is Phase.LOST)
-        self.result.not_down = tuple(v.system_id for v in vehicles if v.armed or v.phase is Phase.LOST)
+        self.result.lost = tuple(vehicle.address for vehicle in vehicles if vehicle.phase is Phase.LOST)
+        self.result.not_down = tuple(v.address for v in vehicles if v.armed or v.phase is Phase.LOST)
         self.result.vehicles_landed = sum(not v.armed and v.phase is Phase.LANDED for v in vehicles)
 
     def _tap(self, _direction: Direction, frame: bytes, now_s: float) -> None:
@@ -305,3 +335,9 @@ class Director:
             if state is not None:
                 recorder = self.journal.recorder
                 recorder.telemetry.append((recorder.since_start_s(now_s), vehicle.system_id, *state))
+
+
+def _places(networks: Mapping[str, tuple[Endpoint, ...]]) -> str:
+    """Return where vehicles are expected, with the networks' names if there are several."""
+    texts = {name: ", ".join(map(str, endpoints)) for name, endpoints in networks.items()}
+    return "; ".join(f"{name}: {text}" for name, text in texts.items()) if len(texts) > 1 else "".join(texts.values())

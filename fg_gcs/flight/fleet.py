@@ -1,4 +1,4 @@
-"""The vehicles of one flight, in the order of their system ids, and how they are asked for things."""
+"""The vehicles of one flight, in the order of their addresses, and how they are asked for things."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic
 from fg_gcs.errors import VehicleError
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
+from fg_gcs.wire.address import vehicles_named
 from fg_gcs.wire.commands import Dialogue, Request, State
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -22,10 +23,10 @@ class Fleet:
     """Row v of every array belongs to ``vehicles[v]``; frames are known after :meth:`learn_frames`."""
 
     def __init__(self, router: Router, vehicles: Sequence[Vehicle]) -> None:
-        """Take the vehicles in ascending order of their system ids."""
+        """Take the vehicles in ascending order of their addresses."""
         self.router = router
         self.vehicles = tuple(vehicles)
-        self.row_of = {vehicle.system_id: row for row, vehicle in enumerate(self.vehicles)}
+        self.row_of = {vehicle.address: row for row, vehicle in enumerate(self.vehicles)}
         self.frames: tuple[LocalFrame, ...] = ()
         self._origins_enu_m = np.empty((0, 3))
 
@@ -42,9 +43,9 @@ class Fleet:
         Raises:
             VehicleError: a vehicle has not told its origin or its position.
         """
-        missing = [v.system_id for v in self.vehicles if v.origin is None or v.ground_ned_m is None]
+        missing = [v.address for v in self.vehicles if v.origin is None or v.ground_ned_m is None]
         if missing:
-            raise VehicleError(f"no origin or position from vehicles {names(missing)}")
+            raise VehicleError(f"{vehicles_named(missing)} did not tell origin or position")
         places = [(Geodetic(*v.origin), v.ground_ned_m) for v in self.vehicles if v.origin and v.ground_ned_m]
         if origin is None:
             own_origin, ground = places[0]
@@ -62,14 +63,14 @@ class Fleet:
 
     def position_enu_m(self, vehicle: Vehicle) -> tuple[float, float, float] | None:
         """Return where a vehicle is [m; ENU]; None while its position or its frame is not known."""
-        row = self.row_of.get(vehicle.system_id)
+        row = self.row_of.get(vehicle.address)
         if row is None or not self.frames or vehicle.position_ned_m is None:
             return None
         return self.frames[row].enu_from_ned(vehicle.position_ned_m)
 
     def state_enu(self, vehicle: Vehicle) -> tuple[float, ...] | None:
         """Return a vehicle's newest state as a row of the telemetry table, from the position on; None if unknown."""
-        row = self.row_of.get(vehicle.system_id)
+        row = self.row_of.get(vehicle.address)
         if row is None or not self.frames or vehicle.position_ned_m is None or vehicle.velocity_ned_m_s is None:
             return None
         position = self.frames[row].enu_from_ned(vehicle.position_ned_m)
@@ -99,7 +100,7 @@ class Fleet:
                     continue
                 message = dialogue.step(loop.time())
                 if message is not None:
-                    self.router.send_message(vehicle.system_id, message)
+                    self.router.send_message(vehicle.address, message)
                 if dialogue.state is State.DONE:
                     running[index] = self._next(vehicle, requests)
                 elif dialogue.state is not State.PENDING:
@@ -116,28 +117,38 @@ class Fleet:
         return None if request is None else Dialogue(vehicle, request)
 
 
+class NotInTime(VehicleError):
+    """Vehicles that did not do something in time.
+
+    Args:
+        waiting: the vehicles.
+        what: what they did not do, as in "did not land".
+        timeout_s: how long they had [s].
+    """
+
+    def __init__(self, waiting: Sequence[Vehicle], what: str, timeout_s: float) -> None:
+        self.waiting, self.what, self.timeout_s = tuple(waiting), what, timeout_s
+        who = vehicles_named(vehicle.address for vehicle in waiting)
+        super().__init__(f"{who} did not {what} within {timeout_s:g} s")
+
+
 async def until(vehicles: Iterable[Vehicle], condition: Callable[[Vehicle], bool], timeout_s: float, what: str) -> None:
     """Wait until a condition holds for every vehicle.
 
+    Args:
+        vehicles: all that are waited for.
+        condition: of one vehicle.
+        timeout_s: how long to wait [s].
+        what: what they are to do, in the words that follow "did not".
+
     Raises:
-        VehicleError: names the vehicles for which it does not hold after ``timeout_s``.
+        NotInTime: with the vehicles for which it does not hold after ``timeout_s``.
     """
     watched = tuple(vehicles)
     start_s = asyncio.get_running_loop().time()
     async for k, late_s in ticks(start_s, STEP_S):
-        waiting = [vehicle.system_id for vehicle in watched if not condition(vehicle)]
+        waiting = [vehicle for vehicle in watched if not condition(vehicle)]
         if not waiting:
             return
         if k * STEP_S + late_s >= timeout_s:
-            raise VehicleError(f"vehicles {names(waiting)}: {what} within {timeout_s:g} s: no")
-
-
-def names(system_ids: Iterable[int]) -> str:
-    """Return system ids as people write them, runs joined: ``1-4, 7``."""
-    runs: list[list[int]] = []
-    for system_id in sorted(system_ids):
-        if runs and system_id == runs[-1][-1] + 1:
-            runs[-1].append(system_id)
-        else:
-            runs.append([system_id])
-    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
+            raise NotInTime(waiting, what, timeout_s)

@@ -55,7 +55,7 @@ class Journal:
         for vehicle in vehicles:
             while vehicle.texts:
                 text = vehicle.texts.popleft()
-                self.event("text", f"vehicle {vehicle.system_id}: {text.text}", severity=text.severity)
+                self.event("text", f"vehicle {vehicle.address}: {text.text}", severity=text.severity)
             while vehicle.changes:
                 after = vehicle.changes.popleft().after
-                self.event("phase", f"vehicle {vehicle.system_id}: {after.value}", phase=after.name)
+                self.event("phase", f"vehicle {vehicle.address}: {after.value}", phase=after.name)

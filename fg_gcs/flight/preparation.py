@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from fg_gcs.errors import LinkError, VehicleError
-from fg_gcs.flight.fleet import STEP_S, Fleet, names, until
+from fg_gcs.flight.fleet import STEP_S, Fleet, NotInTime, until
 from fg_gcs.link.clock import ticks
+from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Router
 from fg_gcs.plan.limits import Limits
 from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.wire.address import VehicleAddress, names, vehicles_named
 from fg_gcs.wire.autopilots import FailsafeParameter, TakeOff
 from fg_gcs.wire.commands import (
     Request,
@@ -29,25 +31,29 @@ MANY = 50
 
 
 async def discover(
-    router: Router, endpoints: Sequence[str], count: int, wanted_ids: Sequence[int] | None, wait_s: float
+    router: Router,
+    networks: Mapping[str, Sequence[Endpoint]],
+    count: int,
+    wanted: Sequence[VehicleAddress] | None,
+    wait_s: float,
 ) -> list[Vehicle]:
-    """Wait for the mission's vehicles, at most ``wait_s``; without wanted ids, for as many as it needs.
+    """Wait for the mission's vehicles, at most ``wait_s``; without wanted ones, for as many as it needs.
 
     Raises:
-        LinkError: nobody, or too few, answered; names the endpoints tried.
+        LinkError: too few vehicles answered; names the endpoints tried.
     """
     start_s = asyncio.get_running_loop().time()
     async for k, late_s in ticks(start_s, STEP_S):
-        heard = sorted(set(router.vehicles) & set(wanted_ids)) if wanted_ids else sorted(router.vehicles)
+        heard = sorted(set(router.vehicles) & set(wanted)) if wanted else sorted(router.vehicles)
         if len(heard) >= count:
-            return [router.vehicles[system_id] for system_id in heard[:count]]
+            return [router.vehicles[address] for address in heard[:count]]
         if k * STEP_S + late_s >= wait_s:
             break
-    tried = ", ".join(endpoints)
+    tried = ", ".join(str(endpoint) for endpoints in networks.values() for endpoint in endpoints)
     if not router.vehicles:
         raise LinkError(f"no vehicle answered within {wait_s:g} s at {tried}; is it running and sending there?")
-    wanted = f"ids {names(wanted_ids)}" if wanted_ids else f"{count} vehicles"
-    raise LinkError(f"only vehicles {names(router.vehicles)} answered within {wait_s:g} s at {tried}; needed: {wanted}")
+    answered = f"only {vehicles_named(router.vehicles)} answered within {wait_s:g} s at {tried}"
+    raise LinkError(f"{answered}; the mission needs {names(wanted) if wanted else f'{count} of them'}")
 
 
 async def prepare(fleet: Fleet, recorder: Recorder) -> None:
@@ -72,16 +78,25 @@ async def prepare(fleet: Fleet, recorder: Recorder) -> None:
             fleet.vehicles,
             lambda vehicle: vehicle.armed or (vehicle.prearm_ok and vehicle.position_ned_m is not None),
             READY_S,
-            "ready to arm",
+            "become ready to arm",
         )
-    except VehicleError as error:
-        said = {text.text for vehicle in fleet.vehicles for text in vehicle.recent_texts}
-        raise VehicleError(f"{error} ({'; '.join(sorted(said)) or 'they did not say why'})") from error
-    flying = [vehicle.system_id for vehicle in fleet.vehicles if vehicle.armed]
-    if flying:
-        raise VehicleError(f"vehicles {names(flying)} are armed already: somebody is flying them; hands off")
+    except NotInTime as error:
+        raise VehicleError(_not_ready(error.waiting)) from error
+    armed = [vehicle.address for vehicle in fleet.vehicles if vehicle.armed]
+    if armed:
+        raise VehicleError(f"already armed, so in use by somebody else: {vehicles_named(armed)}")
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
     recorder.event(asyncio.get_running_loop().time(), "ready", f"{len(fleet.vehicles)} vehicles ready to arm")
+
+
+def _not_ready(waiting: Sequence[Vehicle]) -> str:
+    """Return which vehicles are not ready, together with those that give the same reasons."""
+    by_reason: dict[str, list[VehicleAddress]] = {}
+    for vehicle in waiting:
+        reasons = "; ".join(sorted({text.text for text in vehicle.recent_texts})) or "no reason given"
+        by_reason.setdefault(reasons, []).append(vehicle.address)
+    groups = (f"{vehicles_named(addresses)} ({reasons})" for reasons, addresses in by_reason.items())
+    return f"not ready to arm within {READY_S:g} s: {', '.join(groups)}"
 
 
 async def vehicle_limits(fleet: Fleet, limits: Limits, recorder: Recorder) -> Limits:
@@ -105,18 +120,17 @@ async def vehicle_limits(fleet: Fleet, limits: Limits, recorder: Recorder) -> Li
                     yield replace(read_parameter(name, optional=True), resend_s=0.3, deadline_s=1.0)
 
     await fleet.ask(fleet.vehicles, script)
-    lowest: dict[str, tuple[float, str, int]] = {}
+    lowest: dict[str, tuple[float, str, VehicleAddress]] = {}
     for vehicle in fleet.vehicles:
         for limit in vehicle.profile.limits:
             for name, scale in limit.names.items():
                 value = vehicle.params.get(name, 0.0) * scale
                 if value > 0.0:
-                    lowest[limit.quantity] = min(
-                        lowest.get(limit.quantity, (value, name, vehicle.system_id)), (value, name, vehicle.system_id)
-                    )
-    for quantity, (value, name, system_id) in lowest.items():
+                    own = value, name, vehicle.address
+                    lowest[limit.quantity] = min(lowest.get(limit.quantity, own), own)
+    for quantity, (value, name, address) in lowest.items():
         if value < getattr(limits, quantity):
-            text = f"{quantity} lowered to {value:g}: {name} of vehicle {system_id}"
+            text = f"{quantity} lowered to {value:g} by {name} of vehicle {address}"
             recorder.event(asyncio.get_running_loop().time(), "limit", text)
     return limits.lowered_to(**{quantity: value for quantity, (value, _, _) in lowest.items()})
 
@@ -171,19 +185,19 @@ class Failsafes:
 
     def _report(self) -> None:
         now_s = asyncio.get_running_loop().time()
-        groups: dict[tuple[str, float, float | None, str], list[int]] = {}
-        changed = {(vehicle.system_id, name): value for vehicle, name, value in self._found}
+        groups: dict[tuple[str, float, float | None, str], list[VehicleAddress]] = {}
+        changed = {(vehicle.address, name): value for vehicle, name, value in self._found}
         for vehicle in self._fleet.vehicles:
             for failsafe in vehicle.profile.failsafes:
                 if failsafe.name in vehicle.params:
                     value = vehicle.params[failsafe.name]
-                    found = changed.get((vehicle.system_id, failsafe.name), value)
-                    to = value if (vehicle.system_id, failsafe.name) in changed else None
-                    groups.setdefault((failsafe.name, found, to, failsafe.reason), []).append(vehicle.system_id)
-        for (name, found, to, reason), ids in groups.items():
+                    found = changed.get((vehicle.address, failsafe.name), value)
+                    to = value if (vehicle.address, failsafe.name) in changed else None
+                    groups.setdefault((failsafe.name, found, to, failsafe.reason), []).append(vehicle.address)
+        for (name, found, to, reason), addresses in groups.items():
             change = "" if to is None else f", set to {to:g} for this flight"
             kind = "found" if to is None else "failsafe"
-            self._recorder.event(now_s, kind, f"{name} = {found:g}{change} on vehicles {names(ids)} ({reason})")
+            self._recorder.event(now_s, kind, f"{name} = {found:g}{change} on {vehicles_named(addresses)} ({reason})")
 
 
 def _to_change(vehicle: Vehicle, failsafe: FailsafeParameter) -> bool:

@@ -12,6 +12,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Separation, closest_approach
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.rules import outside, too_close
+from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -23,19 +24,19 @@ STALE_S = 0.5  # positions older than this say nothing about the distance of a p
 class Kind(Enum):
     """What can go wrong in flight."""
 
-    LOST = "lost: nothing heard from it"
-    TAKEN = "taken over: something else changed its mode"
+    LOST = "is lost: nothing is heard from it"
+    TAKEN = "is taken over: something else changed its mode"
     DISARMED = "disarmed in flight"
-    SEPARATION = "closer than the minimum separation"
-    FENCE = "outside the fence"
-    BATTERY = "battery low"
+    SEPARATION = "are closer than the minimum separation"
+    FENCE = "is outside the fence"
+    BATTERY = "has a low battery"
 
 
 class Action(Enum):
     """What the flight does about a fault."""
 
-    ABORT = "everybody who still obeys stops, flies home on checked lines and lands"
-    REPORT = "say so and go on"
+    ABORT = "every vehicle that still obeys stops, flies home on checked lines and lands"
+    REPORT = "it is reported, and the flight goes on"
 
 
 CONSEQUENCES: dict[Kind, Action] = {
@@ -52,7 +53,7 @@ class Fault(NamedTuple):
     """Something that is wrong now."""
 
     kind: Kind
-    system_ids: tuple[int, ...]
+    vehicles: tuple[VehicleAddress, ...]
     text: str  # one line for people
 
 
@@ -70,24 +71,24 @@ def faults(vehicles: Sequence[Vehicle], positions_enu_m: Array, rules: Rules, no
         for vehicle in vehicles:
             if vehicle.phase is phase:
                 mode = f" ({vehicle.mode_name})" if kind is Kind.TAKEN else ""
-                found.append(Fault(kind, (vehicle.system_id,), f"vehicle {vehicle.system_id} {kind.value}{mode}"))
+                found.append(Fault(kind, (vehicle.address,), f"vehicle {vehicle.address} {kind.value}{mode}"))
     for vehicle in vehicles:
         if vehicle.battery.remaining < BATTERY_LOW:  # never true while unknown
-            found.append(Fault(Kind.BATTERY, (vehicle.system_id,), f"vehicle {vehicle.system_id} {Kind.BATTERY.value}"))
+            found.append(Fault(Kind.BATTERY, (vehicle.address,), f"vehicle {vehicle.address} {Kind.BATTERY.value}"))
     fresh = [row for row, vehicle in enumerate(vehicles) if now_s - vehicle.position_at_s < STALE_S]
     if len(fresh) > 1:
         nearest = closest_approach(positions_enu_m[None, fresh], np.zeros(1))
         if too_close(nearest.distance_m, rules.separation_m):
-            found.append(_too_close([vehicles[row].system_id for row in fresh], nearest, rules))
+            found.append(_too_close([vehicles[row].address for row in fresh], nearest, rules))
     for row in fresh:
         excess_m = float(rules.fence.excess_m(positions_enu_m[row]))
         if outside(excess_m - FENCE_SLACK_M):
-            system_id = vehicles[row].system_id
-            found.append(Fault(Kind.FENCE, (system_id,), f"vehicle {system_id} {Kind.FENCE.value} by {excess_m:.1f} m"))
+            address = vehicles[row].address
+            found.append(Fault(Kind.FENCE, (address,), f"vehicle {address} {Kind.FENCE.value} by {excess_m:.1f} m"))
     return found
 
 
-def _too_close(system_ids: Sequence[int], nearest: Separation, rules: Rules) -> Fault:
-    first, second = (system_ids[index] for index in nearest.pair)
-    text = f"vehicles {first} and {second}: {nearest.distance_m:.2f} m apart (minimum {rules.separation_m:.2f} m)"
+def _too_close(addresses: Sequence[VehicleAddress], nearest: Separation, rules: Rules) -> Fault:
+    first, second = (addresses[index] for index in nearest.pair)
+    text = f"vehicles {first} and {second} are {nearest.distance_m:.2f} m apart (minimum {rules.separation_m:.2f} m)"
     return Fault(Kind.SEPARATION, (first, second), text)

@@ -83,7 +83,7 @@ class SnapshotMaker:
             stages=STAGES,
             stage_begins_s=since_start_s(journal.stage_begins_s),
             stage_ends_s=None if journal.stage_ends_s is None else since_start_s(journal.stage_ends_s),
-            networks=1,
+            networks=len(director.networks),
             vehicles=() if fleet is None else self._vehicles(now_s),
             target=self._target(now_s),
             tracking=self._tracking(),
@@ -112,8 +112,8 @@ class SnapshotMaker:
         assert fleet is not None, "asked only when there is one"
         speed_m_s = None if velocity is None else sum(part * part for part in velocity) ** 0.5
         return VehicleSnapshot(
-            network="main",
-            system_id=vehicle.system_id,
+            network=vehicle.address.network,
+            system_id=vehicle.address.system_id,
             leader=leader,
             phase=vehicle.phase.name.lower(),
             alarming=vehicle.phase in ALARMING,

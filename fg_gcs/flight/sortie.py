@@ -10,16 +10,17 @@ import numpy as np
 
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.errors import PlanError, VehicleError
-from fg_gcs.flight.fleet import STEP_S, Fleet, names, until
-from fg_gcs.flight.formation_motion import FormationMotion
+from fg_gcs.flight.fleet import STEP_S, Fleet, until
 from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.motions import Brake, Follow, FormationMotion, Motion, Rest
 from fg_gcs.flight.safety import CONSEQUENCES, Action, Kind, faults
-from fg_gcs.flight.streamer import Brake, Follow, Motion, Rest, Streamer
+from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.target_follower import TargetFollower
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, plan_home
 from fg_gcs.plan.verification import CheckedPlan, check
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import TakeOff
 from fg_gcs.wire.commands import arm, disarm, land, set_mode, take_off
 from fg_gcs.wire.phases import Phase
@@ -72,7 +73,7 @@ class Sortie:
         self._abort = abort
         self._target_follower: TargetFollower | None = None
         self._tops_m = plan.gather.sample(np.zeros(1)).position_m[0]  # (V, 3) above the pads
-        self._known_faults: set[tuple[Kind, tuple[int, ...]]] = set()
+        self._known_faults: set[tuple[Kind, tuple[VehicleAddress, ...]]] = set()
         self._time = asyncio.get_running_loop().time
 
     async def fly(self) -> None:
@@ -142,12 +143,17 @@ class Sortie:
             watched = WATCHED.get(self._journal.stage, frozenset())
             positions = self._fleet.positions_enu_m()
             for fault in faults(self._fleet.vehicles, positions, self._task.rules, self._time()):
-                if fault.kind not in watched or (fault.kind, fault.system_ids) in self._known_faults:
+                if fault.kind not in watched or (fault.kind, fault.vehicles) in self._known_faults:
                     continue
-                self._known_faults.add((fault.kind, fault.system_ids))
-                self._journal.event("fault", fault.text, fault=fault.kind.name.lower(), vehicles=fault.system_ids)
+                self._known_faults.add((fault.kind, fault.vehicles))
+                self._journal.event(
+                    "fault",
+                    fault.text,
+                    fault=fault.kind.name.lower(),
+                    vehicles=[vehicle.label for vehicle in fault.vehicles],
+                )
                 if fault.kind in (Kind.LOST, Kind.TAKEN):
-                    self.streamer.release(self._fleet.row_of[system_id] for system_id in fault.system_ids)
+                    self.streamer.release(self._fleet.row_of[vehicle] for vehicle in fault.vehicles)
                 if CONSEQUENCES[fault.kind] is Action.ABORT:
                     self._abort(fault.text)
 
@@ -169,7 +175,7 @@ class Sortie:
         height_m = self._mission.takeoff.height_m
         ground = fleet.positions_enu_m()
         streamer.motion = Rest(everybody, ground, self._plan.gather.yaw_rad(ground))
-        streamer.engage(fleet.row_of[v.system_id] for v in by_setpoint)
+        streamer.engage(fleet.row_of[v.address] for v in by_setpoint)
         await fleet.ask(fleet.vehicles, lambda vehicle: [set_mode(vehicle.profile.streaming_mode), arm()])
         streamer.motion = Rest(everybody, self._tops_m, self._plan.gather.yaw_rad(self._tops_m))
         await fleet.ask(by_command, lambda vehicle: [take_off(height_m, CLIMB_M_S)])
@@ -198,16 +204,16 @@ class Sortie:
     async def _settle(self, rows: Sequence[int], where: str, timeout_s: float = SETTLE_S) -> None:
         """Wait until the vehicles have arrived where the motion has come to rest."""
         vehicles = [self._fleet.vehicles[row] for row in rows]
-        await until(vehicles, lambda v: self._error_m(v) < ARRIVED_M, timeout_s, f"arrived at {where}")
+        await until(vehicles, lambda v: self._error_m(v) < ARRIVED_M, timeout_s, f"arrive at {where}")
         with suppress(VehicleError):  # in wind, or with a noisy estimate, none ever stands still
-            await until(vehicles, lambda v: self._error_m(v) < STILL_M, STILL_S, f"still at {where}")
+            await until(vehicles, lambda v: self._error_m(v) < STILL_M, STILL_S, f"come to rest at {where}")
 
     def _error_m(self, vehicle: Vehicle) -> float:
         """Return how far a vehicle is from where the present motion wants it [m]."""
         motion = self.streamer.motion
         if motion is None or vehicle.position_ned_m is None:
             return np.inf
-        row = self._fleet.row_of[vehicle.system_id]
+        row = self._fleet.row_of[vehicle.address]
         wanted = motion.at(self._time()).position_m[list(motion.rows).index(row)]
         place = self._fleet.frames[row].enu_from_ned(vehicle.position_ned_m)
         return float(np.linalg.norm(wanted - place))
@@ -221,10 +227,10 @@ class Sortie:
             self.streamer.release(rows)
         highest_m = max((vehicle.height_m or 0.0 for vehicle in vehicles), default=0.0)
         wait_s = LANDING_SPARE_S + highest_m / SINK_M_S
-        await until(vehicles, lambda v: not v.armed or v.phase is Phase.LOST, wait_s, "landed and disarmed")
-        lost = [vehicle.system_id for vehicle in vehicles if vehicle.phase is Phase.LOST]
+        await until(vehicles, lambda v: not v.armed or v.phase is Phase.LOST, wait_s, "land and disarm")
+        lost = [vehicle.address for vehicle in vehicles if vehicle.phase is Phase.LOST]
         if lost:
-            raise VehicleError(f"vehicles {names(lost)} were lost while they landed")
+            raise VehicleError(f"lost while landing: {vehicles_named(lost)}")
 
     # --- when something is wrong ---------------------------------------------------------------------------------
 
@@ -260,9 +266,10 @@ class Sortie:
             brake = self.streamer.motion = Brake(motion, self._time())
             await asyncio.sleep(brake.end_s - self._time())
             return brake
-        assert self._target_follower is not None, "nothing else chases"
-        await asyncio.sleep(self._target_follower.stop() - self._time())
-        return motion
+        assert self._target_follower is not None, "nothing else moves a formation"
+        resting, rests_s = self._target_follower.stop()
+        await asyncio.sleep(rests_s - self._time())
+        return resting
 
     def _way_home(self, still: Motion, rows: Sequence[int]) -> CheckedPlan:
         """Plan and verify the way home of those at ``rows`` from where they have come to rest."""

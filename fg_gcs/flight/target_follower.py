@@ -12,10 +12,10 @@ import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
-from fg_gcs.flight.formation_motion import FormationMotion
 from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.motions import FormationMotion, Gaze, Headings
 from fg_gcs.flight.planning import LATE_S, Planning
-from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, Sources
+from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, SightingSources
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import Task
@@ -95,7 +95,7 @@ class TargetFollower:
         self._streamer = streamer
         self._journal = journal
         self._stopwatch = stopwatch
-        self._sources = Sources(mission.targets or [], self._sighted, self._refused, simulated_endpoint)
+        self._sources = SightingSources(mission.targets or [], self._sighted, self._refused, simulated_endpoint)
         self._time = asyncio.get_running_loop().time
         self._wake = asyncio.Event()
         self._core: FollowingCore | None = None
@@ -133,12 +133,12 @@ class TargetFollower:
         assert motion is not None, "the formation has gathered, so there is a motion"
         now_s = self._began_s = self._taken_s = self._time()
         self._core = FollowingCore(self._swarm, self._settings, self._task.start, now_s)
-        yaw_rad = motion.at(now_s).yaw_rad
-        gaze_enu_m = self._task.target_enu_m
-        self._formation_motion = FormationMotion(
-            motion.rows, self._swarm.slots_m, self._core.trajectory, gaze_enu_m, yaw_rad, now_s
+        headings = Headings(now_s, motion.at(now_s).yaw_rad)
+        self._stream(
+            FormationMotion.beginning(
+                motion.rows, self._swarm.slots_m, self._core.trajectory, self._task.target_enu_m, headings
+            )
         )
-        self._streamer.motion = self._formation_motion
         self._sources.begin(origin)
 
     async def run(self) -> None:
@@ -152,16 +152,17 @@ class TargetFollower:
             if self._core is not None and self._formation_motion is not None and self._ended_s is None:
                 await self._replan(self._core, self._formation_motion)
 
-    def stop(self) -> float:
-        """Track no longer, and come to rest; return the loop's time at which everybody rests [s]."""
+    def stop(self) -> tuple[FormationMotion, float]:
+        """Track no longer, and come to rest; return the motion, and the loop's time at which everybody rests [s]."""
         assert self._core is not None, "only what has begun is stopped"
-        assert self._formation_motion is not None, "likewise"
-        now_s = self._time()
+        motion, now_s = self._formation_motion, self._time()
+        assert motion is not None, "likewise"
         if self._ended_s is None:
-            self._formation_motion.trajectory = self._core.replanner.stop(now_s).trajectory
-            self._formation_motion.look_at(now_s, self._formation_motion.gaze_enu_m(now_s), np.zeros(3))
+            gaze = Gaze(now_s, motion.gaze.at(now_s), np.zeros(3))
+            motion = motion.with_trajectory(self._core.replanner.stop(now_s).trajectory, gaze)
+            self._stream(motion)
         self.close()
-        return max(self._formation_motion.trajectory.end_s, now_s)
+        return motion, max(motion.trajectory.end_s, now_s)
 
     def close(self) -> None:
         """Track no longer, write down how it was, and close all ports; may be called at any time, and twice."""
@@ -181,9 +182,7 @@ class TargetFollower:
     def gaze_enu_m(self) -> Array:
         """The point that everybody looks at now, shape (3,) [m; ENU]."""
         return (
-            self._task.target_enu_m
-            if self._formation_motion is None
-            else self._formation_motion.gaze_enu_m(self._time())
+            self._task.target_enu_m if self._formation_motion is None else self._formation_motion.gaze.at(self._time())
         )
 
     @property
@@ -275,7 +274,10 @@ class TargetFollower:
 
     # --- planning ------------------------------------------------------------------------------------------------
 
-    async def _replan(self, core: FollowingCore, formation_motion: FormationMotion) -> None:
+    def _stream(self, motion: FormationMotion) -> None:
+        self._formation_motion = self._streamer.motion = motion
+
+    async def _replan(self, core: FollowingCore, motion: FormationMotion) -> None:
         now_s, began_s, was_caught = self._time(), self._stopwatch(), core.caught_s is not None
         known = core.known(now_s)
         if known is None:  # nobody has been seen yet
@@ -289,8 +291,7 @@ class TargetFollower:
                 self._told_late = True
                 self._journal.event("notice", f"planning took longer than {LATE_S:g} s; the present trajectory goes on")
             return
-        formation_motion.trajectory = replan.trajectory
-        formation_motion.look_at(now_s, known.position_enu_m, known.velocity_m_s)
+        self._stream(motion.with_trajectory(replan.trajectory, Gaze(now_s, known.position_enu_m, known.velocity_m_s)))
         planned_s = self._time()
         self._measure()
         if np.isfinite(sighted_s) and replan.taken:
@@ -368,10 +369,9 @@ def warm_up(mission: Mission) -> None:
             core.sighted(sighting, stamp_s)
     for now_s in (0.4, 0.5, 99.0):  # 99: all targets are lost by then
         core.replan(now_s)
-    formation_motion = FormationMotion(
-        range(len(swarm.slots_m)), swarm.slots_m, core.trajectory, np.zeros(3), np.zeros(len(swarm.slots_m)), 0.0
-    )
-    formation_motion.at(1.0)
+    rows = range(len(swarm.slots_m))
+    headings = Headings(0.0, np.zeros(len(rows)))
+    FormationMotion.beginning(rows, swarm.slots_m, core.trajectory, np.zeros(3), headings).at(1.0)
     core.replanner.stop(99.0)
 
 

@@ -5,22 +5,25 @@ import errno
 import re
 import socket
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, cast
 
 from fg_gcs.errors import LinkError
+from fg_gcs.wire.address import MAIN
 
 Address = tuple[str, int]
 
-FORMS: Final = "udpin:HOST:PORT (vehicles come to us), udpout:HOST:PORT (we call first), tcp:HOST:PORT (we connect)"
+FORMS: Final = "udpin:HOST:PORT (vehicles come to us), udpout:HOST:PORT (we call first) or tcp:HOST:PORT (we connect)"
 FIRST_PAUSE_S: Final = 0.5  # after a connection broke, before it is made again: SITL needs longer to start
 MOST_PAUSE_S: Final = 8.0  # pauses double up to here: whoever restarts a vehicle does not wait long for us to notice
 STEADY_S: Final = 10.0  # a connection that lived so long was a good one: the next pause is the first again
 CONNECT_S: Final = 5.0  # an attempt that a host leaves without any answer; the system itself would wait two minutes
 
 _PATTERN: Final = re.compile(r"(?P<kind>[a-z]+):(?://)?(?:(?P<host>[^:/\s]*):)?(?P<port>\d{1,5})/?", re.IGNORECASE)
+_NETWORK: Final = re.compile(r"\s*(?P<name>[^=]*?)\s*=(?P<endpoint>.*)", re.DOTALL)
+_NETWORK_NAME: Final = re.compile(r"[a-z0-9_-]{1,16}")
 _LOCAL: Final = "127.0.0.1"
 _RECEIVE_BYTES: Final = 4 << 20  # nine vehicles send 3,300 datagrams a second; a planner may block the loop for one
 _TCP_QUEUE_BYTES: Final = 64 << 10  # a second of setpoints to 20 vehicles; older ones are worth nothing
@@ -71,8 +74,35 @@ def parse_endpoint(text: str) -> Endpoint:
     match = _PATTERN.fullmatch(text.strip())
     kind = _KINDS.get(match["kind"].lower()) if match else None
     if match is None or kind is None or not 0 < int(match["port"]) < 65536:
-        raise LinkError(f"endpoint {text!r} is none of: {FORMS}")
+        raise LinkError(f"endpoint {text!r} is not of the form {FORMS}")
     return Endpoint(kind, match["host"] or _LOCAL, int(match["port"]))
+
+
+def parse_networks(texts: Iterable[str]) -> dict[str, tuple[Endpoint, ...]]:
+    """Return the networks that texts of the form ``[NAME=]ENDPOINT`` declare, each with its endpoints, in their order.
+
+    Endpoints of one name are one network; those without a name are the network ``main``. If there is only one network,
+    it is ``main`` whatever its name: names tell networks apart.
+
+    Raises:
+        LinkError: A text is at fault, or an endpoint occurs twice; the message says what is accepted.
+    """
+    networks: dict[str, tuple[Endpoint, ...]] = {}
+    known: set[Endpoint] = set()
+    for text in texts:
+        match = _NETWORK.fullmatch(text)
+        name = MAIN if match is None else match["name"]
+        if not _NETWORK_NAME.fullmatch(name):
+            raise LinkError(f"network {name!r} in {text!r} is not a name of 1 to 16 of a-z, 0-9, - and _")
+        endpoint = parse_endpoint(text if match is None else match["endpoint"])
+        if endpoint in known:
+            raise LinkError(f"endpoint {endpoint} occurs twice; each of them belongs to one network, once")
+        known.add(endpoint)
+        networks[name] = (*networks.get(name, ()), endpoint)
+    if len(networks) == 1:
+        (only,) = networks.values()
+        return {MAIN: only}
+    return networks
 
 
 OnData = Callable[["Wire", Address, bytes], None]

@@ -2,16 +2,19 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
 from typing import Final, NamedTuple, Self
 
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
+from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import profile_of
-from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, Sender, is_known
+from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, is_known
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
 MOST_PEERS: Final = 512  # addresses kept; a flood of made-up senders must not fill the memory
@@ -38,8 +41,8 @@ class Counters(NamedTuple):
         bad_bytes: Bytes that belonged to no good frame.
         unknown_messages: Frames whose message the dialect does not know.
         dropped: Frames not sent because the way out was full or closed.
-        unroutable: Frames for a system id that was never heard.
-        clashes: Frames ignored because their system id belongs to another address.
+        unroutable: Frames for a vehicle that was never heard.
+        clashes: Frames ignored because their vehicle is already heard from elsewhere in its network.
         errors: Errors the system reported for our sockets.
     """
 
@@ -57,6 +60,7 @@ class Counters(NamedTuple):
 class Peer:
     """One remote address: its own decoder and its own sequence numbers."""
 
+    network: str
     wire: Wire
     address: Address
     codec: Codec = field(default_factory=Codec)
@@ -71,30 +75,30 @@ class Router:
     """Owns the sockets, learns where each vehicle is, and keeps its state; open one with `Router.open`.
 
     Attributes:
-        vehicles: Every vehicle heard so far, by system id.
-        notices: Lines for people, such as a lost connection, or two vehicles with one system id (said once).
+        vehicles: Every vehicle heard so far. The same system id in two networks is two vehicles.
+        notices: Lines for people, such as a lost connection, or two vehicles with one address (said once).
     """
 
     def __init__(self, on_message: OnMessage | None = None, tap: Tap | None = None) -> None:
-        self.vehicles: dict[int, Vehicle] = {}
+        self.vehicles: dict[VehicleAddress, Vehicle] = {}
         self.notices: deque[str] = deque(maxlen=64)
         self._on_message = on_message
         self._tap = tap
         self._wires: list[Wire] = []
         self._peers: dict[tuple[int, Address], Peer] = {}  # by wire (its id) and address
-        self._routes: dict[int, Peer] = {}
-        self._clashing: set[int] = set()
+        self._routes: dict[VehicleAddress, Peer] = {}
+        self._clashing: set[VehicleAddress] = set()
         self._frames_out = self._unroutable = self._clashes = 0
         self._time = asyncio.get_running_loop().time
 
     @classmethod
     async def open(
-        cls, endpoints: Iterable[Endpoint], *, on_message: OnMessage | None = None, tap: Tap | None = None
+        cls, networks: Mapping[str, Iterable[Endpoint]], *, on_message: OnMessage | None = None, tap: Tap | None = None
     ) -> Self:
-        """Open all endpoints.
+        """Open all endpoints of all networks.
 
         Args:
-            endpoints: Where vehicles are to be found.
+            networks: Where vehicles are to be found, by the name of the network.
             on_message: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
             tap: Gets every frame in both directions, unknown ones included, with the loop time [s]: the recorder.
 
@@ -103,11 +107,12 @@ class Router:
         """
         router = cls(on_message, tap)
         try:
-            for endpoint in endpoints:
-                wire = await open_wire(endpoint, router._receive, router._changed)
-                router._wires.append(wire)
-                if wire.remote is not None:
-                    router._peer(wire, wire.remote)
+            for network, endpoints in networks.items():
+                for endpoint in endpoints:
+                    wire = await open_wire(endpoint, partial(router._receive, network), router._changed)
+                    router._wires.append(wire)
+                    if wire.remote is not None:
+                        router._peer(network, wire, wire.remote)
         except BaseException:
             router.close()
             raise
@@ -128,17 +133,17 @@ class Router:
             errors=sum(wire.errors for wire in self._wires),
         )
 
-    def sender(self, system_id: int) -> Sender:
+    def sender(self, address: VehicleAddress) -> Sender:
         """Return what numbers the frames to this vehicle; for `pack_setpoint`.
 
         Raises:
             KeyError: The vehicle was never heard.
         """
-        return self._routes[system_id].sender
+        return self._routes[address].sender
 
-    def send(self, system_id: int, data: bytes) -> None:
+    def send(self, address: VehicleAddress, data: bytes) -> None:
         """Send a packed frame to one vehicle, once; one that was never heard makes it count as unroutable."""
-        peer = self._routes.get(system_id)
+        peer = self._routes.get(address)
         if peer is None:
             self._unroutable += 1
             return
@@ -147,13 +152,13 @@ class Router:
         if self._tap is not None:
             self._tap(Direction.OUT, data, self._time())
 
-    def send_message(self, system_id: int, message: Message) -> None:
+    def send_message(self, address: VehicleAddress, message: Message) -> None:
         """Pack a message and send it to one vehicle."""
-        peer = self._routes.get(system_id)
+        peer = self._routes.get(address)
         if peer is None:
             self._unroutable += 1
         else:
-            self.send(system_id, peer.sender.pack(message))
+            self.send(address, peer.sender.pack(message))
 
     def heartbeat(self) -> None:
         """Send our heartbeat once to every address that a vehicle speaks from, and to whom we are to call first."""
@@ -182,11 +187,11 @@ class Router:
         for wire in self._wires:
             wire.close()
 
-    def _peer(self, wire: Wire, address: Address) -> Peer | None:
+    def _peer(self, network: str, wire: Wire, address: Address) -> Peer | None:
         key = (id(wire), address)
         peer = self._peers.get(key)
         if peer is None and len(self._peers) < MOST_PEERS:
-            peer = self._peers[key] = Peer(wire, address)
+            peer = self._peers[key] = Peer(network, wire, address)
         return peer
 
     def _changed(self, wire: Wire, change: Change) -> None:
@@ -196,8 +201,8 @@ class Router:
             if peer.wire is wire:
                 peer.codec.restart()
 
-    def _receive(self, wire: Wire, address: Address, data: bytes) -> None:
-        peer = self._peer(wire, address)
+    def _receive(self, network: str, wire: Wire, address: Address, data: bytes) -> None:
+        peer = self._peer(network, wire, address)
         if peer is None:
             return
         now_s = self._time()
@@ -212,16 +217,17 @@ class Router:
         system_id = message.get_srcSystem()
         if message.get_srcComponent() != _AUTOPILOT:
             return
-        vehicle = self.vehicles.get(system_id)
+        address = VehicleAddress(peer.network, system_id)
+        vehicle = self.vehicles.get(address)
         if vehicle is None:
             if system_id in (0, GCS_SYSTEM) or message.get_type() != "HEARTBEAT":
                 return
             profile = profile_of(message)
             if profile is None:
                 return
-            vehicle = self.vehicles[system_id] = Vehicle(system_id, profile, now_s)
-            self._routes[system_id] = peer
-        elif self._routes[system_id] is not peer and not self._moved(vehicle, peer, message, now_s):
+            vehicle = self.vehicles[address] = Vehicle(address, profile, now_s)
+            self._routes[address] = peer
+        elif self._routes[address] is not peer and not self._moved(vehicle, peer, message, now_s):
             return
         vehicle.handle(message, now_s)
         if self._on_message is not None:
@@ -229,13 +235,14 @@ class Router:
 
     def _moved(self, vehicle: Vehicle, peer: Peer, message: Message, now_s: float) -> bool:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
-        system_id = vehicle.system_id
         if now_s - vehicle.heard_at_s > LOST_AFTER_S and message.get_type() == "HEARTBEAT":
-            self._routes[system_id] = peer
+            self._routes[vehicle.address] = peer
             return True
         self._clashes += 1
-        if system_id not in self._clashing:
-            self._clashing.add(system_id)
+        if vehicle.address not in self._clashing:
+            self._clashing.add(vehicle.address)
             host, port = peer.address
-            self.notices.append(f"two vehicles have system id {system_id}: the one at {host}:{port} is ignored")
+            self.notices.append(
+                f"two vehicles have the system id {vehicle.address}: the one at {host}:{port} is ignored"
+            )
         return False

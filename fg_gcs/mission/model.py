@@ -12,7 +12,19 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.core.separation import Fence
-from fg_gcs.mission.tables import Deviation, Finite, Ground, MissionTable, NotNegative, Point, Positive, SystemId
+from fg_gcs.mission.tables import (
+    Deviation,
+    Finite,
+    Ground,
+    MissionTable,
+    NetworkName,
+    NetworkSystemId,
+    NotNegative,
+    Point,
+    Positive,
+    SystemId,
+    VehicleEndpoint,
+)
 from fg_gcs.mission.target_tables import MovingTarget, TrackTable
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.plan.formulations import FormulationName
@@ -26,13 +38,22 @@ class SwarmTable(MissionTable):
     """Who flies."""
 
     vehicles: int = Field(ge=3, le=250, description="a whole number from 3 to 250")
-    system_ids: list[SystemId] | None = Field(
-        default=None, description="different whole numbers from 1 to 250, one a vehicle (default: 1, 2, 3, ...)"
+    system_ids: list[SystemId | NetworkSystemId] | None = Field(
+        default=None,
+        description="different whole numbers from 1 to 250, one a vehicle; with several networks the network's name "
+        'before each, as in "west/7" (default: 1, 2, 3, ...)',
     )
 
+    def members(self) -> tuple[tuple[str, int], ...]:
+        """Return network and system id of every vehicle, ascending; the network is "" where none is named."""
+        if not self.system_ids:
+            return tuple(("", system_id) for system_id in range(1, self.vehicles + 1))
+        parts = (str(each).rpartition("/") for each in self.system_ids)
+        return tuple(sorted((network, int(system_id)) for network, _, system_id in parts))
+
     def ids(self) -> tuple[int, ...]:
-        """Return the system id of every vehicle, ascending."""
-        return tuple(sorted(self.system_ids)) if self.system_ids else tuple(range(1, self.vehicles + 1))
+        """Return the system id of every vehicle, in the order of `members`."""
+        return tuple(system_id for _, system_id in self.members())
 
 
 class FormationTable(MissionTable):
@@ -220,6 +241,11 @@ class Mission(MissionTable):
 
     description: str = Field(default="", description="a line of text for people")
     swarm: SwarmTable = Field(description="a table")
+    networks: dict[NetworkName, list[VehicleEndpoint]] | None = Field(
+        default=None,
+        description='a table of name = ["ENDPOINT", ...]; names of 1 to 16 of a-z, 0-9, - and _, endpoints '
+        "udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT",
+    )
     formation: FormationTable = Field(description="a table")
     target: TargetTable | None = Field(default=None, description="a table")
     targets: list[MovingTarget] | None = Field(
@@ -258,6 +284,11 @@ class Mission(MissionTable):
     def text(self) -> str:
         """The file's text."""
         return self._file[1]
+
+    def connections(self) -> tuple[str, ...]:
+        """Return where vehicles are found, each as ``NAME=ENDPOINT``; none: the built-in simulator flies."""
+        networks = self.networks or {}
+        return tuple(f"{name}={endpoint}" for name, endpoints in networks.items() for endpoint in endpoints)
 
     def task(self) -> Task:
         """Return the mission in the planner's words, under its own limits alone.

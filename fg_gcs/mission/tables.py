@@ -38,6 +38,9 @@ Length = Annotated[float, Field(ge=0.1, le=1e6)]  # of made-up motions: angles a
 Rate = Annotated[float, Field(gt=0, le=1e4)]  # speeds and accelerations of those
 Seed = Annotated[int, Field(ge=0, le=2**63)]
 SystemId = Annotated[int, Field(ge=1, le=250)]
+NetworkName = Annotated[str, Field(pattern=r"^[a-z0-9_-]{1,16}$")]
+NetworkSystemId = Annotated[str, Field(pattern=r"^[a-z0-9_-]{1,16}/(?:[1-9]\d?|1\d\d|2[0-4]\d|250)$")]
+VehicleEndpoint = Annotated[str, Field(pattern=r"^(?:udp|udpin|udpout|tcp):(?:[^:\s]+:)?\d{1,5}$")]
 Point = tuple[Finite, Finite, Finite]
 Ground = tuple[Finite, Finite]
 FilePath = Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_beside_the_mission)]

@@ -17,13 +17,7 @@ from fg_gcs.plan.rules import outside, too_close
 
 def problems_of(mission: Mission) -> Iterator[Problem]:
     """Yield what is wrong between keys that are each right by themselves."""
-    ids = mission.swarm.ids()
-    vehicles = mission.swarm.vehicles
-    if len(set(ids)) < len(ids):
-        twice = sorted({i for i in ids if ids.count(i) > 1})
-        yield Problem("swarm", "system_ids", f"{twice[0]} occurs twice; accepted: a different id for every vehicle")
-    if len(ids) != vehicles:
-        yield Problem("swarm", "system_ids", f"{len(ids)} ids for {vehicles} vehicles; accepted: {vehicles} ids")
+    yield from _network_contradictions(mission)
     fence = mission.fence.box()
     if not (np.array(fence.low_enu_m) < np.array(fence.high_enu_m)).all():
         yield Problem("fence", "high_enu_m", "each number must be larger than that of low_enu_m")
@@ -38,6 +32,33 @@ def problems_of(mission: Mission) -> Iterator[Problem]:
     if mission.pads.spacing_m <= separation:
         text = f"{mission.pads.spacing_m:g} m; accepted: more than the separation of {separation:g} m"
         yield Problem("pads", "spacing_m", text)
+
+
+def _network_contradictions(mission: Mission) -> Iterator[Problem]:
+    """Yield what is wrong between networks and the vehicles that are said to be in them."""
+    members, vehicles = mission.swarm.members(), mission.swarm.vehicles
+    twice = sorted({member for member in members if members.count(member) > 1})
+    if twice:
+        text = "/".join(str(part) for part in twice[0] if part)
+        yield Problem("swarm", "system_ids", f"{text} occurs twice; accepted: a different id for every vehicle")
+    if len(members) != vehicles:
+        yield Problem("swarm", "system_ids", f"{len(members)} ids for {vehicles} vehicles; accepted: {vehicles} ids")
+    networks = mission.networks or {}
+    for name, endpoints in networks.items():
+        wrong = [endpoint for endpoint in endpoints if not 0 < int(endpoint.rpartition(":")[2]) < 65536]
+        if wrong:
+            yield Problem("networks", name, f"{wrong[0]}; accepted: a port from 1 to 65535")
+        if not endpoints:
+            yield Problem("networks", name, "has no endpoint; accepted: one or more, as in udpin:127.0.0.1:14550")
+    if mission.networks is not None and not networks:
+        yield Problem("networks", "", "is empty; accepted: one or more networks")
+    for network, system_id in members if mission.swarm.system_ids else ():
+        if network and network not in networks:
+            known = f"one of {', '.join(networks)}" if networks else "ids alone, or a table [networks]"
+            yield Problem("swarm", "system_ids", f'no network is called "{network}"; accepted: {known}')
+        elif not network and len(networks) > 1:
+            accepted = " or ".join(f'"{name}/{system_id}"' for name in networks)
+            yield Problem("swarm", "system_ids", f"{system_id} names no network; accepted: {accepted}")
 
 
 def _formation_contradictions(mission: Mission) -> Iterator[Problem]:

@@ -16,7 +16,7 @@ from fg_gcs.errors import FgError, LinkError, MissionError
 from fg_gcs.flight.director import Director, FlightResult, Setup
 from fg_gcs.flight.target_follower import warm_up
 from fg_gcs.link.clock import make_loop, speed_of
-from fg_gcs.link.endpoint import parse_endpoint
+from fg_gcs.link.endpoint import Endpoint, parse_networks
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
 from fg_gcs.record.report.report import write_report
@@ -29,12 +29,16 @@ VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time no other pr
 VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed one keeps a run's files the same
 
 
+Networks = Mapping[str, tuple[Endpoint, ...]]  # by name
+
+
 @dataclass(frozen=True)
 class FlyOptions:
     """How a mission is flown.
 
     Attributes:
-        connect: connection strings of vehicles that are there already; empty: the built-in simulator is started.
+        connect: where vehicles are, each ``[NAME=]ENDPOINT``, NAME being a network's; empty: where the mission says, or
+            else the built-in simulator is started.
         wait_s: how long to wait for the vehicles' first heartbeats [s].
         autopilot: which one the simulator plays, ``px4`` or ``ardupilot``; None: as the mission says.
         logs: the run's folder is made in here.
@@ -60,7 +64,7 @@ class Outcome(Enum):
 
     COMPLETED = "completed"
     ABORTED = "aborted; what still obeyed was brought down"
-    NO_PLAN = "the mission has no plan, so nothing was armed"
+    NOT_FLOWN = "the mission cannot be flown: nothing was armed"
     NO_ANSWER = "too few vehicles answered, or a port is taken"
     FAILED = "a fault of this program"
 
@@ -119,7 +123,7 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
         MissionError: the options are at fault, or no folder can be made for the record; nothing was begun.
     """
     chosen = options or FlyOptions()
-    _check(chosen)
+    networks = _networks(mission, chosen)
     loop = asyncio.get_running_loop()
     await asyncio.to_thread(prepare, mission)
     folder = _folder(mission, chosen)
@@ -130,7 +134,7 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
         audience = await stack.enter_async_context(
             Audience.open(observers, recorder, folder if chosen.serve_snapshots and not virtual else None)
         )
-        director, error = await _flown(mission, chosen, recorder, audience)
+        director, error = await _flown(mission, chosen, networks, recorder, audience)
         result = await asyncio.to_thread(_finished, mission, chosen, director, error, recorder)
     if isinstance(error, asyncio.CancelledError):
         raise error
@@ -182,12 +186,13 @@ class _OwnLoop(Observer):
         asyncio.get_running_loop().set_exception_handler(lambda _, context: director.fail(context))
 
 
-def _check(options: FlyOptions) -> None:
-    for text in options.connect:
-        try:
-            parse_endpoint(text)
-        except LinkError as error:
-            raise MissionError(f"--connect: {error}") from error
+def _networks(mission: Mission, options: FlyOptions) -> Networks:
+    """Return where vehicles are that are there already; none: the simulator is to be started."""
+    what = "--connect" if options.connect else f"{mission.path}: [networks]"
+    try:
+        return parse_networks(options.connect or mission.connections())
+    except LinkError as error:
+        raise MissionError(f"{what}: {error}") from error
 
 
 def _folder(mission: Mission, options: FlyOptions) -> Path:
@@ -198,16 +203,16 @@ def _folder(mission: Mission, options: FlyOptions) -> Path:
 
 
 async def _flown(
-    mission: Mission, options: FlyOptions, recorder: Recorder, audience: Audience
+    mission: Mission, options: FlyOptions, networks: Networks, recorder: Recorder, audience: Audience
 ) -> tuple[Director, Exception | asyncio.CancelledError | None]:
     """Fly; return the flight's handle, and the exception that ended it if one did."""
     loop = asyncio.get_running_loop()
     async with AsyncExitStack() as stack:
         try:
-            setup = await stack.enter_async_context(_surroundings(mission, options, recorder))
+            setup = await stack.enter_async_context(_surroundings(mission, options, networks, recorder))
         except FgError as error:  # the simulator did not start
             recorder.event(loop.time(), "error", str(error))
-            return Director(mission, Setup((), 0.0, True, time.perf_counter), recorder), error
+            return Director(mission, Setup(networks, 0.0, True, time.perf_counter), recorder), error
         director = Director(mission, setup, recorder)
         try:
             async with audience.watching(director, options.snapshot_hz):
@@ -225,7 +230,9 @@ async def _flown(
 
 
 @asynccontextmanager
-async def _surroundings(mission: Mission, options: FlyOptions, recorder: Recorder) -> AsyncIterator[Setup]:
+async def _surroundings(
+    mission: Mission, options: FlyOptions, networks: Networks, recorder: Recorder
+) -> AsyncIterator[Setup]:
     """Start what has to be simulated; yield how the flight is connected to it.
 
     Raises:
@@ -235,13 +242,13 @@ async def _surroundings(mission: Mission, options: FlyOptions, recorder: Recorde
     virtual = math.isinf(speed_of(loop))
     autopilot = options.autopilot or mission.simulator.autopilot
     port, targets_port = (VIRTUAL_PORT, VIRTUAL_TARGETS_PORT) if virtual else (free_port(), free_port())
-    own = not options.connect
+    own = not networks
     if own:
         text = f"starting {mission.swarm.vehicles} simulated {autopilot} vehicles"
         recorder.event(loop.time(), "simulator", text)
     async with simulated(mission, autopilot if own else None, port, targets_port, recorder.folder):
         yield Setup(
-            (f"udpin:127.0.0.1:{port}",) if own else options.connect,
+            parse_networks([f"udpin:127.0.0.1:{port}"]) if own else networks,
             options.wait_s,
             own if options.knows_origin is None else options.knows_origin,
             time.perf_counter,
@@ -274,6 +281,6 @@ def _outcome(flight: FlightResult, error: Exception | None) -> Outcome:
         case LinkError():
             return Outcome.NO_ANSWER
         case FgError():
-            return Outcome.NO_PLAN
+            return Outcome.NOT_FLOWN
         case _:
             return Outcome.FAILED

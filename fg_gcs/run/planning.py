@@ -55,7 +55,7 @@ def plan(mission: Mission) -> PlannedMission:
     return PlannedMission(mission, task, made, plan_keys(str(mission.path), mission.swarm.ids(), made))
 
 
-def plan_keys(name: str, system_ids: Sequence[int], made: FlightPlan) -> dict[str, object]:
+def plan_keys(name: str, system_ids: Sequence[int | str], made: FlightPlan) -> dict[str, object]:
     """Return a plan's figures by the names of the command line's JSON; peaks and separation are the whole flight's."""
     first, second = made.separation.pair
     return {

@@ -23,8 +23,8 @@ def summary_of(mission: Mission, result: FlightResult, recorder: Recorder, reaso
     """
     summary: dict[str, object] = {"mission": str(mission.path)}
     if result.plan is not None:
-        summary |= plan_keys(str(mission.path), result.system_ids, result.plan)
-    leaders = [] if result.plan is None else [result.system_ids[row] for row in result.plan.rim_of]
+        summary |= plan_keys(str(mission.path), [vehicle.label for vehicle in result.vehicles], result.plan)
+    leaders = [] if result.plan is None else [result.vehicles[row].system_id for row in result.plan.rim_of]
     limits = None if result.task is None else result.task.rules.limits
     counters = result.counters
     summary |= {"completed": result.completed, "reason": reason, "vehicles_landed": result.vehicles_landed}
@@ -33,8 +33,8 @@ def summary_of(mission: Mission, result: FlightResult, recorder: Recorder, reaso
     summary |= _tracking_keys(mission, result, recorder, leaders)
     summary |= {
         "late_ticks": result.late_ticks,
-        "lost_vehicles": list(result.lost),
-        "vehicles_not_down": list(result.not_down),
+        "lost_vehicles": [vehicle.label for vehicle in result.lost],
+        "vehicles_not_down": [vehicle.label for vehicle in result.not_down],
         "recording_complete": True,
         "bad_bytes": counters.bad_bytes if counters else 0,
         "unknown_messages": counters.unknown_messages if counters else 0,

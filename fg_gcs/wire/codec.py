@@ -41,6 +41,9 @@ class Message(Protocol):
     def get_msgbuf(self) -> bytearray:
         """The whole frame as it was on the wire: what a tlog holds."""
 
+    def get_payload(self) -> bytes:
+        """The payload of the frame, trailing zeros cut off."""
+
     def __getattr__(self, field: str) -> Any: ...  # noqa: ANN401 - a field's type depends on the message
 
 
@@ -130,29 +133,3 @@ class Codec:
                 return None
             self.unknown_messages += 1
         return message
-
-
-class Sender:
-    """Numbers and packs outgoing MAVLink 2 messages for one link.
-
-    Args:
-        system_id: Our system id.
-        component_id: Our component id.
-    """
-
-    def __init__(self, system_id: int = GCS_SYSTEM, component_id: int = GCS_COMPONENT) -> None:
-        self.system_id = system_id
-        self.component_id = component_id
-        self._sequence = 0
-        self._packer: Any = dialect.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
-
-    def next_sequence(self) -> int:
-        """Take the next sequence number (0 to 255, around and around): peers count losses by its gaps."""
-        sequence = self._sequence
-        self._sequence = (sequence + 1) & 0xFF
-        return sequence
-
-    def pack(self, message: Message) -> bytes:
-        """Return the frame of ``message``, numbered."""
-        self._packer.seq = self.next_sequence()
-        return bytes(message.pack(self._packer))

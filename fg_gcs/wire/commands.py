@@ -122,7 +122,7 @@ class Dialogue:
     def _finish(self, state: State, what: str) -> None:
         began_s = self._began_s if self._began_s is not None else -math.inf
         said = [text.text for text in self.vehicle.recent_texts if text.at_s >= began_s and text.severity <= _WARNING]
-        self.reason = f"vehicle {self.vehicle.system_id}: {self.request.name}: {what}"
+        self.reason = f"vehicle {self.vehicle.address}: {self.request.name}: {what}"
         if said:
             self.reason += f" ({'; '.join(dict.fromkeys(said))})"
         self.state = State.DONE if self.request.optional else state
@@ -208,7 +208,7 @@ def take_off(height_m: float, climb_m_s: float = 1.0) -> Request:
 
     def build(vehicle: Vehicle) -> Message:
         if vehicle.profile.take_off is not TakeOff.BY_COMMAND:
-            raise VehicleError(f"vehicle {vehicle.system_id}: {vehicle.profile.name} takes off by setpoints")
+            raise VehicleError(f"vehicle {vehicle.address}: {vehicle.profile.name} takes off by setpoints")
         return _command(vehicle, dialect.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
 
     def satisfied(vehicle: Vehicle, since_s: float) -> bool:

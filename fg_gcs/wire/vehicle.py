@@ -9,6 +9,7 @@ from typing import ClassVar, Final, NamedTuple
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire import params
+from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import AutopilotProfile, profile_of
 from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Message
 from fg_gcs.wire.phases import Phase, PhaseEvent, following
@@ -90,7 +91,7 @@ class Vehicle:
     """State of one vehicle, kept by the messages of its autopilot (component 1).
 
     Args:
-        system_id: MAVLink system id.
+        address: Its network and its MAVLink system id.
         profile: How its autopilot wants to be talked to.
         now_s: Loop time of the first heartbeat [s].
 
@@ -125,8 +126,8 @@ class Vehicle:
         heard_at_s: Loop time of the newest message [s].
     """
 
-    def __init__(self, system_id: int, profile: AutopilotProfile, now_s: float) -> None:
-        self.system_id = system_id
+    def __init__(self, address: VehicleAddress, profile: AutopilotProfile, now_s: float) -> None:
+        self.address = address
         self.profile = profile
         self.phase = Phase.DISCOVERED
         self.changes: deque[PhaseChange] = deque(maxlen=QUEUE_LENGTH)
@@ -159,6 +160,11 @@ class Vehicle:
         self.heard_at_s = now_s
         self._assembler = TextAssembler()
         self._accepted_modes: frozenset[int | None] | None = None  # None: nothing commanded, nothing to take over
+
+    @property
+    def system_id(self) -> int:
+        """Its MAVLink system id, as messages to it need it; for anything else it is `address` that tells it."""
+        return self.address.system_id
 
     @property
     def mode_name(self) -> str:

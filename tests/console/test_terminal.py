@@ -33,6 +33,7 @@ from fg_gcs.flight.snapshot import (
 from fg_gcs.flight.snapshot_maker import SnapshotMaker
 from fg_gcs.link.clock import ticks
 from fg_gcs.mission import Mission
+from fg_gcs.wire.address import MAIN
 from tests.flight.harness import CIRCLE, CIRCLING, SMALL, Flight, fly, mission_of, moving
 
 SIZES = ((100, 30), (80, 24), (60, 20))
@@ -205,7 +206,7 @@ def test_without_a_moving_target_there_are_no_lines_for_one(tmp_path: Path) -> N
 def vehicle(system_id: int, *, lost: bool) -> VehicleSnapshot:
     phase = "lost" if lost else "discovered"
     return VehicleSnapshot(
-        "main", system_id, False, phase, lost, "", False, 0.0, None, None, None, None, None, None, None
+        MAIN, system_id, False, phase, lost, "", False, 0.0, None, None, None, None, None, None, None
     )
 
 

@@ -314,7 +314,7 @@ def test_vehicles_that_are_lost_while_tracking_end_it(tmp_path: Path) -> None:
     flight = fly(tmp_path, "px4", kill, mission_of(tmp_path, CIRCLING))
     assert flight.result is not None
     assert not flight.result.completed
-    assert flight.result.lost == (1, 2, 3, 4)
+    assert [vehicle.label for vehicle in flight.result.lost] == [1, 2, 3, 4]
     assert len(flight.recorder.truth.columns()["time_s"]) > 100
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Endpoint, Kind, UdpWire, Wire, open_wire, parse_endpoint
+from fg_gcs.link.endpoint import Address, Endpoint, Kind, UdpWire, Wire, open_wire, parse_endpoint, parse_networks
 
 
 @pytest.mark.parametrize(
@@ -41,6 +41,43 @@ def test_any_text_gives_an_endpoint_or_one_clear_line(text: str) -> None:
     except LinkError as error:
         told = str(error)
     assert told.isprintable()
+
+
+UDP = [Endpoint(Kind.UDP_IN, "127.0.0.1", port) for port in (1, 2, 3)]
+
+
+@pytest.mark.parametrize(
+    ("texts", "networks"),
+    [
+        ([], {}),
+        (["udp:1"], {"main": UDP[:1]}),
+        (["udp:1", "udp:2"], {"main": UDP[:2]}),
+        (["west=udp:1", "west=udp:2"], {"main": UDP[:2]}),  # the only network needs no name
+        (["west=udp:1", "east=udp:2", " west = udp:3"], {"west": [UDP[0], UDP[2]], "east": [UDP[1]]}),
+        (["udp:1", "east=udp:2"], {"main": [UDP[0]], "east": [UDP[1]]}),
+    ],
+)
+def test_endpoints_of_one_name_are_one_network(texts: list[str], networks: dict[str, list[Endpoint]]) -> None:
+    assert parse_networks(texts) == {name: tuple(endpoints) for name, endpoints in networks.items()}
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        (["West=udp:1"], "network 'West' in 'West=udp:1' is not a name of 1 to 16 of a-z, 0-9, - and _"),
+        (["=udp:1"], "network '' in"),
+        (["a" * 17 + "=udp:1"], "is not a name of 1 to 16"),
+        (["west/1=udp:1"], "is not a name of 1 to 16"),
+        (["west=east=udp:1"], "endpoint 'east=udp:1' is not of the form udpin:HOST:PORT"),
+        (["west="], "endpoint '' is not of the form"),
+        (["udp:1", "west=udpin:127.0.0.1:1"], "endpoint udpin:127.0.0.1:1 occurs twice"),
+    ],
+)
+def test_networks_that_are_none_are_refused_in_one_line(texts: list[str], said: str) -> None:
+    with pytest.raises(LinkError) as caught:
+        parse_networks(texts)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 class Heard:

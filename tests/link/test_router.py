@@ -11,8 +11,10 @@ from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.router import Direction, Router
 from fg_gcs.wire import commands
+from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
-from fg_gcs.wire.codec import Codec, Message, Sender
+from fg_gcs.wire.codec import Codec, Message
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
@@ -55,6 +57,10 @@ class Fake(asyncio.DatagramProtocol):
         return [message.get_type() for message in self.heard]
 
 
+def at(system_id: int, network: str = MAIN) -> VehicleAddress:
+    return VehicleAddress(network, system_id)
+
+
 def virtually(main: Callable[[], Awaitable[Result]]) -> Result:
     async def run() -> Result:
         return await main()
@@ -69,17 +75,17 @@ async def settle(seconds: float = 0.01) -> None:
 
 def test_each_message_leaves_once_to_its_own_vehicle() -> None:
     async def main() -> None:
-        router = await Router.open([GROUND])
+        router = await Router.open({MAIN: [GROUND]})
         fakes = [await Fake.start(system_id) for system_id in (1, 2, 3)]
         for fake in fakes:
             fake.beat()
         await settle()
-        assert sorted(router.vehicles) == [1, 2, 3]
+        assert sorted(router.vehicles) == [at(1), at(2), at(3)]
         for system_id in (1, 2, 3):
             for _ in range(system_id):
                 setpoint = Setpoint((float(system_id), 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)
-                router.send(system_id, pack_setpoint(setpoint, system_id, router.sender(system_id)))
-        router.send_message(2, commands.heartbeat())
+                router.send(at(system_id), pack_setpoint(setpoint, system_id, router.sender(at(system_id))))
+        router.send_message(at(2), commands.heartbeat())
         await settle()
         for system_id, fake in zip((1, 2, 3), fakes, strict=True):
             setpoints = [message for message in fake.heard if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
@@ -94,12 +100,12 @@ def test_each_message_leaves_once_to_its_own_vehicle() -> None:
 
 def test_a_vehicle_that_was_never_heard_costs_a_count() -> None:
     async def main() -> None:
-        router = await Router.open([GROUND])
-        router.send(9, b"data")
-        router.send_message(9, commands.heartbeat())
+        router = await Router.open({MAIN: [GROUND]})
+        router.send(at(9), b"data")
+        router.send_message(at(9), commands.heartbeat())
         assert (router.counters.unroutable, router.counters.frames_out) == (2, 0)
         with pytest.raises(KeyError):
-            router.sender(9)
+            router.sender(at(9))
         router.close()
 
     virtually(main)
@@ -107,7 +113,7 @@ def test_a_vehicle_that_was_never_heard_costs_a_count() -> None:
 
 def test_only_autopilots_become_vehicles() -> None:
     async def main() -> None:
-        router = await Router.open([GROUND])
+        router = await Router.open({MAIN: [GROUND]})
         ground, fake = await Fake.start(255), await Fake.start(1)
         ground.say(commands.heartbeat())
         second = await Fake.start(254)
@@ -139,7 +145,7 @@ def test_manners_phase_and_messages_reach_who_asked() -> None:
         def tap(direction: Direction, raw: bytes, now_s: float) -> None:
             taps.append((direction, raw, now_s))
 
-        router = await Router.open([GROUND], on_message=on_message, tap=tap)
+        router = await Router.open({MAIN: [GROUND]}, on_message=on_message, tap=tap)
         copter, plane = await Fake.start(5, ARDUPILOT), await Fake.start(6, PX4)
         copter.beat(ARDUPILOT.streaming_mode)
         plane.beat()
@@ -148,7 +154,7 @@ def test_manners_phase_and_messages_reach_who_asked() -> None:
         await settle()
         router.heartbeat()
         assert [vehicle.profile for vehicle in router.vehicles.values()] == [ARDUPILOT, PX4]
-        assert router.vehicles[5].mode_name == "GUIDED"
+        assert router.vehicles[at(5)].mode_name == "GUIDED"
         assert seen == [(5, "HEARTBEAT", 0.001), (6, "HEARTBEAT", 0.001)]
         assert [direction for direction, _, _ in taps] == [Direction.IN] * 3 + [Direction.OUT] * 2
         assert taps[2][1] == unknown
@@ -161,7 +167,7 @@ def test_manners_phase_and_messages_reach_who_asked() -> None:
 def test_heartbeats_go_once_to_each_vehicle_and_wake_those_we_call() -> None:
     async def main() -> None:
         sleeping = await Fake.start(7, local=18570)
-        router = await Router.open([GROUND, Endpoint(Kind.UDP_OUT, "127.0.0.1", 18570)])
+        router = await Router.open({MAIN: [GROUND, Endpoint(Kind.UDP_OUT, "127.0.0.1", 18570)]})
         waking = [await Fake.start(system_id) for system_id in (1, 2)]
         for fake in waking:
             fake.beat()
@@ -176,7 +182,7 @@ def test_heartbeats_go_once_to_each_vehicle_and_wake_those_we_call() -> None:
         assert stranger.heard == []
         sleeping.beat()
         await settle()
-        assert sorted(router.vehicles) == [1, 2, 7]
+        assert sorted(router.vehicles) == [at(1), at(2), at(7)]
         router.heartbeat()
         await settle()
         assert len(sleeping.heard) == 4
@@ -187,13 +193,13 @@ def test_heartbeats_go_once_to_each_vehicle_and_wake_those_we_call() -> None:
 
 def test_silence_is_noticed_by_the_task() -> None:
     async def main() -> None:
-        router = await Router.open([GROUND])
+        router = await Router.open({MAIN: [GROUND]})
         fake = await Fake.start(1)
         fake.beat()
         async with asyncio.TaskGroup() as tasks:
             beating = tasks.create_task(router.keep_alive())
             await settle(LOST_AFTER_S + 1.5)
-            assert router.vehicles[1].phase is Phase.LOST
+            assert router.vehicles[at(1)].phase is Phase.LOST
             beating.cancel()
         router.close()
 
@@ -202,15 +208,15 @@ def test_silence_is_noticed_by_the_task() -> None:
 
 def test_two_vehicles_with_one_system_id_do_not_mix() -> None:
     async def main() -> None:
-        router = await Router.open([GROUND])
+        router = await Router.open({MAIN: [GROUND]})
         first, second = await Fake.start(1, PX4), await Fake.start(1, PX4)
         first.beat(PX4.hold_mode)
         await settle()
         for _ in range(3):
             second.beat(PX4.land_mode)
         await settle()
-        assert router.vehicles[1].mode == PX4.hold_mode
-        router.send_message(1, commands.heartbeat())
+        assert router.vehicles[at(1)].mode == PX4.hold_mode
+        router.send_message(at(1), commands.heartbeat())
         await settle()
         assert (len(first.heard), len(second.heard)) == (1, 0)
         assert router.counters.clashes == 3
@@ -223,7 +229,7 @@ def test_two_vehicles_with_one_system_id_do_not_mix() -> None:
 
 def test_a_vehicle_that_restarts_on_another_port_is_found_again() -> None:
     async def main() -> None:
-        router = await Router.open([GROUND])
+        router = await Router.open({MAIN: [GROUND]})
         before, after = await Fake.start(1), await Fake.start(1)
         before.beat()
         await settle(LOST_AFTER_S + 0.1)
@@ -232,7 +238,7 @@ def test_a_vehicle_that_restarts_on_another_port_is_found_again() -> None:
         assert router.counters.clashes == 1  # only a heartbeat claims a system id
         after.beat()
         await settle()
-        router.send_message(1, commands.heartbeat())
+        router.send_message(at(1), commands.heartbeat())
         await settle()
         assert (len(before.heard), len(after.heard)) == (0, 1)
         router.close()
@@ -242,11 +248,11 @@ def test_a_vehicle_that_restarts_on_another_port_is_found_again() -> None:
 
 def test_a_taken_port_is_one_clear_line_and_leaves_nothing_open() -> None:
     async def main() -> None:
-        router = await Router.open([GROUND])
+        router = await Router.open({MAIN: [GROUND]})
         other = Endpoint(Kind.UDP_IN, "127.0.0.1", PORT + 1)
         with pytest.raises(LinkError, match="port 14550 is in use: another ground station"):
-            await Router.open([other, GROUND])
-        (await Router.open([other])).close()
+            await Router.open({MAIN: [other, GROUND]})
+        (await Router.open({MAIN: [other]})).close()
         router.close()
 
     virtually(main)
@@ -255,7 +261,7 @@ def test_a_taken_port_is_one_clear_line_and_leaves_nothing_open() -> None:
 def test_hostile_datagrams_neither_raise_nor_disturb() -> None:
     async def main() -> None:
         draw = random.Random(7)
-        router = await Router.open([GROUND])
+        router = await Router.open({MAIN: [GROUND]})
         honest, hostile = await Fake.start(1), await Fake.start(2)
         honest.beat(PX4.hold_mode)
         frame = bytearray(honest.sender.pack(commands.heartbeat()))
@@ -267,8 +273,8 @@ def test_hostile_datagrams_neither_raise_nor_disturb() -> None:
         await settle()
         honest.beat(PX4.land_mode)
         await settle()
-        assert list(router.vehicles) == [1]
-        assert router.vehicles[1].mode == PX4.land_mode
+        assert list(router.vehicles) == [at(1)]
+        assert router.vehicles[at(1)].mode == PX4.land_mode
         assert router.counters.bad_bytes > 10_000
         router.close()
 
@@ -277,7 +283,7 @@ def test_hostile_datagrams_neither_raise_nor_disturb() -> None:
 
 def test_a_flood_of_made_up_senders_is_bounded() -> None:
     async def main() -> None:
-        router = await Router.open([GROUND])
+        router = await Router.open({MAIN: [GROUND]})
         honest = await Fake.start(1)
         honest.beat()
         await settle()
@@ -286,8 +292,51 @@ def test_a_flood_of_made_up_senders_is_bounded() -> None:
         await settle()
         honest.beat(PX4.land_mode)
         await settle()
-        assert router.vehicles[1].mode == PX4.land_mode
+        assert router.vehicles[at(1)].mode == PX4.land_mode
         assert router.counters.frames_in <= 2 + 511
+        router.close()
+
+    virtually(main)
+
+
+def test_the_same_system_id_in_two_networks_is_two_vehicles() -> None:
+    async def main() -> None:
+        seen: list[VehicleAddress] = []
+        endpoints = {"west": [GROUND], "east": [Endpoint(Kind.UDP_IN, "127.0.0.1", PORT + 1)]}
+        router = await Router.open(endpoints, on_message=lambda vehicle, _message, _now_s: seen.append(vehicle.address))
+        west, east = await Fake.start(7, PX4), await Fake.start(7, ARDUPILOT)
+        west.beat(PX4.hold_mode)
+        await settle()
+        loop = asyncio.get_running_loop()
+        east.transport, _ = await loop.create_datagram_endpoint(lambda: east, remote_addr=("127.0.0.1", PORT + 1))
+        for _ in range(2):
+            east.beat(ARDUPILOT.land_mode)
+        await settle()
+        assert seen == [at(7, "west"), at(7, "east"), at(7, "east")]
+        assert router.vehicles[at(7, "west")].mode == PX4.hold_mode
+        assert router.vehicles[at(7, "east")].mode == ARDUPILOT.land_mode
+        assert router.counters.clashes == 0
+        for _ in range(3):
+            router.send_message(at(7, "east"), commands.heartbeat())
+        router.send_message(at(7, "west"), commands.heartbeat())
+        router.send_message(at(7), commands.heartbeat())
+        await settle()
+        assert [message.get_seq() for message in west.heard] == [0]
+        assert [message.get_seq() for message in east.heard] == [0, 1, 2]
+        assert router.counters.unroutable == 1
+        router.close()
+
+    virtually(main)
+
+
+def test_two_vehicles_with_one_id_in_one_of_several_networks_are_told_with_its_name() -> None:
+    async def main() -> None:
+        router = await Router.open({"west": [GROUND], "east": []})
+        for _ in range(2):
+            (await Fake.start(7)).beat()
+            await settle()
+        assert router.counters.clashes == 1
+        assert "two vehicles have the system id west/7" in router.notices[0]
         router.close()
 
     virtually(main)

@@ -27,7 +27,9 @@ from fg_gcs.link.endpoint import (
     parse_endpoint,
 )
 from fg_gcs.link.router import Router
-from fg_gcs.wire.codec import Message, Sender
+from fg_gcs.wire.address import MAIN
+from fg_gcs.wire.codec import Message
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.vehicle import Vehicle
 
 FAST = 1000.0  # times real time: pauses pass in milliseconds, with real sockets
@@ -142,7 +144,7 @@ def test_no_message_begins_in_one_connection_and_ends_in_the_next() -> None:
 
         partner = Partner()
         await partner.come()
-        router = await Router.open([partner.endpoint], on_message=on_message)
+        router = await Router.open({MAIN: [partner.endpoint]}, on_message=on_message)
         cuts = [1, 3, 9, 10, 15, len(frames[0]) - 1]
         for cut in cuts:
             _, writer = await partner.called()

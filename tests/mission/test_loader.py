@@ -63,6 +63,26 @@ def test_the_missions_that_come_along_are_good(path: Path) -> None:
             "[swarm] system_ids: 2 occurs twice",
         ),
         ("vehicles = 9", "vehicles = 9\nsystem_ids = [1, 2]", "[swarm] system_ids: 2 ids for 9 vehicles; accepted: 9"),
+        ("vehicles = 9", 'vehicles = 9\nsystem_ids = ["west/251"]', "[swarm] system_ids: got"),
+        (
+            "vehicles = 9",
+            'vehicles = 9\nsystem_ids = ["west/1", 2, 3, 4, 5, 6, 7, 8, 9]',
+            '[swarm] system_ids: no network is called "west"; accepted: ids alone, or a table [networks]',
+        ),
+        (
+            "[formation]",
+            'system_ids = ["west/1", 2, 3, 4, 5, 6, 7, 8, "north/9"]\n'
+            '[networks]\nwest = ["udp:14550"]\neast = ["udp:14551"]\n[formation]',
+            '[swarm] system_ids: 2 names no network; accepted: "west/2" or "east/2"',
+        ),
+        ("[formation]", '[networks]\nWest = ["udp:14550"]\n[formation]', "networks: got 'West'; accepted: a table of"),
+        ("[formation]", '[networks]\nwest = ["serial:1"]\n[formation]', "networks: got 'serial:1'; accepted: a table"),
+        ("[formation]", '[networks]\nwest = ["udp:0"]\n[formation]', "[networks] west: udp:0; accepted: a port from 1"),
+        (
+            "[formation]",
+            "[networks]\nwest = []\n[formation]",
+            "[networks] west: has no endpoint; accepted: one or more",
+        ),
         ("separation_m = 1.5", "separation_m = 1.9", "[limits] separation_m: 1.9 m, but the closest slots"),
         ("followers = 5", "followers = 7", "[formation] shape: a hemisphere of 4 leaders has 0, 1, 4 or 5 followers"),
         ("[1.0, 0.0, 0.0]", "[0.0, 0.0, 0.0]", "[formation] normal_enu: the normal of the face needs a direction"),
@@ -227,6 +247,7 @@ def test_a_custom_formation(tmp_path: Path) -> None:
     (tmp_path / "custom.toml").write_text(text)
     mission = load_mission(tmp_path / "custom.toml")
     assert mission.swarm.ids() == (3, 5, 7, 9)
+    assert mission.connections() == ()
     assert mission.task().formation.slots_m.tolist() == [[0, -2, -2], [0, 2, -2], [0, 0, 3], [-2, 0, 0]]
 
 
@@ -254,3 +275,13 @@ def test_every_key_is_explained_in_the_missions_readme() -> None:
             assert field.description, f"[{table}] {key}"
     for path in MISSIONS.glob("*.toml"):
         assert f"`{path.name}`" in text
+
+
+def test_vehicles_of_several_networks(tmp_path: Path) -> None:
+    ids = ", ".join(f'"{name}/{system_id}"' for system_id in (3, 1, 2) for name in ("west", "east", "up"))
+    networks = '[networks]\nwest = ["udp:14550", "tcp:host:5760"]\neast = ["udp:14551"]\nup = ["udpout:14552"]\n'
+    text = GOOD.replace("[formation]", f"system_ids = [{ids}]\n{networks}[formation]")
+    (tmp_path / "networks.toml").write_text(text)
+    mission = load_mission(tmp_path / "networks.toml")
+    assert mission.swarm.members() == tuple((name, n) for name in ("east", "up", "west") for n in (1, 2, 3))
+    assert mission.connections() == ("west=udp:14550", "west=tcp:host:5760", "east=udp:14551", "up=udpout:14552")

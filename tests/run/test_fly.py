@@ -193,7 +193,7 @@ def test_a_fault_of_ours_is_reported_after_everything_is_down(tmp_path: Path) ->
 
 def test_no_plan_and_no_answer_are_outcomes_with_a_record(tmp_path: Path) -> None:
     unplanned = flown(tmp_path, text=IMPOSSIBLE)
-    assert unplanned.outcome is Outcome.NO_PLAN
+    assert unplanned.outcome is Outcome.NOT_FLOWN
     assert isinstance(unplanned.error, PlanError)
     unheard = flown(tmp_path, connect=("udpin:127.0.0.1:14600",), wait_s=3.0)
     assert unheard.outcome is Outcome.NO_ANSWER

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.wire.codec import Codec, Message, Sender, is_known
+from fg_gcs.wire.codec import Codec, Message, is_known
+from fg_gcs.wire.framing import Sender
 
 
 def heartbeats(count: int, system_id: int = 7) -> list[bytes]:
@@ -137,13 +138,3 @@ def test_flipped_bits_never_raise_and_never_pass_as_the_frame_they_were() -> Non
         damaged[place // 8] ^= 1 << place % 8
         accepted += sum(is_known(message) for message in Codec().receive(bytes(damaged)))
     assert accepted == 0
-
-
-def test_sequence_numbers_run_through_pack_and_next_sequence_alike() -> None:
-    sender = Sender()
-    numbers = [sender.next_sequence() for _ in range(255)]
-    (message,) = Codec().receive(sender.pack(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)))
-    assert numbers == list(range(255))
-    assert message.get_seq() == 255
-    assert sender.next_sequence() == 0
-    assert (message.get_srcSystem(), message.get_srcComponent()) == (255, 190)

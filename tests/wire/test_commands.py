@@ -6,9 +6,11 @@ from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.errors import VehicleError
 from fg_gcs.wire import commands
+from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
-from fg_gcs.wire.codec import Codec, Message, Sender
+from fg_gcs.wire.codec import Codec, Message
 from fg_gcs.wire.commands import Dialogue, Request, State
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.params import Encoding, encode
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -50,11 +52,11 @@ def run(vehicle: Vehicle, request: Request, answer: Answer) -> tuple[Dialogue, l
 
 
 def px4() -> Vehicle:
-    return Vehicle(3, PX4, 0.0)
+    return Vehicle(VehicleAddress(MAIN, 3), PX4, 0.0)
 
 
 def ardupilot() -> Vehicle:
-    return Vehicle(4, ARDUPILOT, 0.0)
+    return Vehicle(VehicleAddress(MAIN, 4), ARDUPILOT, 0.0)
 
 
 def test_arming_is_done_when_the_heartbeat_says_so_not_when_it_is_acknowledged() -> None:

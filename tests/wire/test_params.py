@@ -5,7 +5,8 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.wire.codec import Codec, Message, Sender
+from fg_gcs.wire.codec import Codec, Message
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.params import REAL32, Encoding, UnsafeParameter, decode, encode, same
 
 RANGES = {

@@ -4,8 +4,10 @@ import random
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
+from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
-from fg_gcs.wire.codec import Codec, Message, Sender, is_known
+from fg_gcs.wire.codec import Codec, Message, is_known
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Origin, Vehicle
 
@@ -33,7 +35,7 @@ class Probe:
     """A vehicle and the autopilot that speaks to it, over real frames."""
 
     def __init__(self, profile: AutopilotProfile = PX4) -> None:
-        self.vehicle = Vehicle(1, profile, 0.0)
+        self.vehicle = Vehicle(VehicleAddress(MAIN, 1), profile, 0.0)
         self.sender, self.codec = Sender(1, 1), Codec()
         self.now_s = 0.0
 
@@ -236,7 +238,7 @@ def test_hostile_frames_never_raise() -> None:
     draw = random.Random(6)
     kinds = [kind for kind in dialect.mavlink_map.values() if kind.msgname in HEARD or draw.random() < 0.1]
     for profile in (PX4, ARDUPILOT):
-        vehicle, codec = Vehicle(1, profile, 0.0), Codec()
+        vehicle, codec = Vehicle(VehicleAddress(MAIN, 1), profile, 0.0), Codec()
         heard = 0
         for _ in range(1000):
             kind = draw.choice(kinds)

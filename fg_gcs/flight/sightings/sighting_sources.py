@@ -10,15 +10,15 @@ import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
-from fg_gcs.flight.sightings.sources import DatagramFeed, Feed, OnRefused, OnSighting, TimedFeed
-from fg_gcs.flight.sightings.vehicle_source import VehicleFeed
+from fg_gcs.flight.sightings.sources import DatagramSource, OnRefused, OnSighting, SightingSource, TimedSource
+from fg_gcs.flight.sightings.vehicle_source import VehicleReportSource
 from fg_gcs.mission.target_tables import CsvSource, MovingTarget, ScriptSource, UdpSource, VehicleSource
 from fg_gcs.scenario.sensor import Measurement, Sensor
 
 SIMULATED_ENDPOINT: Final = "udpin:127.0.0.1:14560"  # beside 14550, where the swarm comes
 
 
-class Sources:
+class SightingSources:
     """Opens what the targets need, and hands on their sightings from :meth:`begin` to :meth:`close`.
 
     The clock is that of the running loop: a sighting's times are loop times. Both callbacks are called by the loop.
@@ -44,7 +44,7 @@ class Sources:
         simulated_endpoint: str = SIMULATED_ENDPOINT,
     ) -> None:
         self.endpoints: dict[str, str] = {}
-        self._feeds: dict[str, Feed] = {}  # by target
+        self._sources: dict[str, SightingSource] = {}  # by target
         by_endpoint: dict[str, list[MovingTarget]] = {}
         for target in targets:
             match target.source:
@@ -52,18 +52,18 @@ class Sources:
                     motion = target.true_motion()
                     assert motion is not None, "the loader refuses scripts without a motion"
                     sensor = Sensor(target.name, target.sensor.settings(), target.sensor.seed)
-                    self._feeds[target.name] = TimedFeed(sensor.measurements(motion), on_sighting, motion)
+                    self._sources[target.name] = TimedSource(sensor.measurements(motion), on_sighting, motion)
                 case CsvSource():
-                    self._feeds[target.name] = TimedFeed(_replayed(target), on_sighting, None)
+                    self._sources[target.name] = TimedSource(_replayed(target), on_sighting, None)
                 case UdpSource(endpoint=endpoint):
                     self.endpoints[target.name] = endpoint
-                    self._feeds[target.name] = DatagramFeed(target, endpoint, on_sighting, on_refused)
+                    self._sources[target.name] = DatagramSource(target, endpoint, on_sighting, on_refused)
                 case VehicleSource(endpoint=own):
                     self.endpoints[target.name] = own or simulated_endpoint
                     by_endpoint.setdefault(self.endpoints[target.name], []).append(target)
         for endpoint, vehicles in by_endpoint.items():
-            feed = VehicleFeed(vehicles, endpoint, on_sighting, on_refused)
-            self._feeds |= {target.name: feed for target in vehicles}
+            source = VehicleReportSource(vehicles, endpoint, on_sighting, on_refused)
+            self._sources |= {target.name: source for target in vehicles}
         self._names = [target.name for target in targets]
 
     async def open(self) -> None:
@@ -73,8 +73,8 @@ class Sources:
             LinkError: one is taken; none stays open.
         """
         try:
-            for feed in self._every():
-                await feed.open()
+            for source in self._every():
+                await source.open()
         except BaseException:
             self.close()
             raise
@@ -86,8 +86,8 @@ class Sources:
             origin: where on Earth the mission's (0, 0, 0) is.
         """
         now_s = asyncio.get_running_loop().time()
-        for feed in self._every():
-            feed.begin(now_s, origin)
+        for source in self._every():
+            source.begin(now_s, origin)
 
     def truth(self, time_s: Array) -> Array | None:
         """Return where the targets truly were, in the mission's order; None unless that is known of all of them.
@@ -98,19 +98,19 @@ class Sources:
         Returns:
             Shape (T, C, 3) [m; ENU]; NaN where a simulated vehicle did not say anything.
         """
-        found = [self._feeds[name].truth(name, time_s) for name in self._names]
+        found = [self._sources[name].truth(name, time_s) for name in self._names]
         known = [each for each in found if each is not None]
         return np.stack(known, axis=1) if len(known) == len(found) else None
 
     def close(self) -> None:
         """Hand on no more and close all ports; may be called twice."""
-        for feed in self._every():
-            feed.close()
+        for source in self._every():
+            source.close()
 
-    def _every(self) -> list[Feed]:
-        return list(dict.fromkeys(self._feeds.values()))
+    def _every(self) -> list[SightingSource]:
+        return list(dict.fromkeys(self._sources.values()))
 
 
 def _replayed(target: MovingTarget) -> Iterator[Measurement]:
-    """Return the looks of a recording; a sighting arrives when it was true, or at once if that was before the start."""
+    """Return what a recording holds; a sighting arrives when it was true, or at once if that was before the start."""
     return iter([Measurement(max(row.time_s, 0.0), row) for row in target.replay()])

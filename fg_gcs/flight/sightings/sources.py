@@ -1,7 +1,7 @@
 """Sources of sightings that come by a clock or in datagrams; from vehicles see :mod:`.vehicle_source`.
 
-Each of them is opened before a flight and begins when tracking does; what arrives earlier is not looked at. None
-raises once it is open, whatever comes, and one that falls silent is simply silent.
+Each of them is opened before a flight and begins when tracking does; what arrives earlier is dropped. None raises
+once it is open, whatever comes, and one that falls silent is simply silent.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WINDOW_S = 0.1  # datagrams are counted over so long: the pace of a sensor
 MOST_DATAGRAMS = 100  # in that time: 20 vehicles at 50 Hz; more would cost the streamer its deadlines
 
 
-class Feed(Protocol):
+class SightingSource(Protocol):
     """One way by which sightings come in."""
 
     async def open(self) -> None:
@@ -42,23 +42,23 @@ class Feed(Protocol):
         """Let sightings come from now on, a time of the running loop [s]; the origin is that of ENU."""
 
     def truth(self, target: str, time_s: Array) -> Array | None:
-        """Return where a target of this feed truly was at loop times, (T,) [s] to (T, 3) [m; ENU], if that is known."""
+        """Return where one of its targets truly was at loop times, (T,) [s] to (T, 3) [m; ENU], if that is known."""
 
     def close(self) -> None:
         """Let no more come; may be called twice."""
 
 
-class TimedFeed:
-    """Looks that come by the clock: of a made-up target, or of a recording.
+class TimedSource:
+    """Sightings that come by the clock: of a made-up target, or of a recording.
 
     Args:
-        looks: in the order of arrival; times count from when tracking begins.
+        measurements: in the order of arrival; times count from when tracking begins.
         on_sighting: gets the sightings, by the loop's time.
         motion: how the target truly moves, if that is known.
     """
 
     def __init__(self, measurements: Iterator[Measurement], on_sighting: OnSighting, motion: TrueMotion | None) -> None:
-        self._looks = measurements
+        self._measurements = measurements
         self._on_sighting = on_sighting
         self._motion = motion
         self._began_s = 0.0
@@ -82,10 +82,10 @@ class TimedFeed:
             self._timer.cancel()
 
     def _wait(self) -> None:
-        measure = next(self._looks, None)
-        if measure is not None:
+        measurement = next(self._measurements, None)
+        if measurement is not None:
             loop = asyncio.get_running_loop()
-            self._timer = loop.call_at(self._began_s + measure.received_s, self._arrive, measure.sighting)
+            self._timer = loop.call_at(self._began_s + measurement.received_s, self._arrive, measurement.sighting)
 
     def _arrive(self, sighting: Sighting | None) -> None:
         self._wait()  # first: whoever gets the sighting may close us
@@ -93,7 +93,7 @@ class TimedFeed:
             self._on_sighting(shifted(sighting, self._began_s, asyncio.get_running_loop().time()))
 
 
-class DatagramFeed:
+class DatagramSource:
     """JSON lines about one target, on a port of its own.
 
     Args:
@@ -106,7 +106,7 @@ class DatagramFeed:
     def __init__(self, target: MovingTarget, endpoint: str, on_sighting: OnSighting, on_refused: OnRefused) -> None:
         self._target, self._endpoint = target, endpoint
         self._on_sighting, self._on_refused = on_sighting, on_refused
-        self._crowd = RateLimiter()
+        self._rate_limiter = RateLimiter()
         self._wire: Wire | None = None
         self._began_s: float | None = None
 
@@ -119,7 +119,7 @@ class DatagramFeed:
         self._wire = await open_wire(parse_endpoint(self._endpoint), self._receive)
 
     def begin(self, began_s: float, origin: Geodetic) -> None:
-        """Look at datagrams from now on."""
+        """Read datagrams from now on."""
         self._began_s = began_s
 
     def truth(self, target: str, time_s: Array) -> Array | None:
@@ -136,7 +136,7 @@ class DatagramFeed:
         if self._began_s is None:
             return
         now_s = asyncio.get_running_loop().time()
-        if self._crowd.is_too_large(now_s):
+        if self._rate_limiter.exceeded(now_s):
             self._on_refused(Verdict.FLOOD, 1)
             return
         sigma_m = self._target.sensor.sigma_m
@@ -154,7 +154,7 @@ class RateLimiter:
         self._since_s = -math.inf
         self._count = 0
 
-    def is_too_large(self, now_s: float) -> bool:
+    def exceeded(self, now_s: float) -> bool:
         """Count one more, and say whether they have become too many."""
         if now_s - self._since_s >= WINDOW_S:
             self._since_s, self._count = now_s, 0

@@ -22,7 +22,7 @@ CARRIED_S = 1.0  # how far the last two reports say where a simulated vehicle go
 MOST_ALTITUDE_M = 1e5  # nothing that flies on air is higher
 
 
-class VehicleFeed:
+class VehicleReportSource:
     """MAVLink vehicles that say where they are, all that come to one port.
 
     A simulated one tells the truth, which the target's sensor then spoils; of a real one what it says is a sighting,
@@ -52,7 +52,7 @@ class VehicleFeed:
         }
         self._reports = {name: _Reports() for name in self._sensors}
         self._codecs: dict[Address, Codec] = {}
-        self._crowd = RateLimiter()
+        self._rate_limiter = RateLimiter()
         self._wire: Wire | None = None
         self._began: tuple[float, Geodetic] | None = None
 
@@ -65,7 +65,7 @@ class VehicleFeed:
         self._wire = await open_wire(parse_endpoint(self._endpoint), self._receive)
 
     def begin(self, began_s: float, origin: Geodetic) -> None:
-        """Look at messages from now on."""
+        """Read messages from now on."""
         self._began = (began_s, origin)
 
     def truth(self, target: str, time_s: Array) -> Array | None:
@@ -83,7 +83,7 @@ class VehicleFeed:
         if self._began is None:
             return
         now_s = asyncio.get_running_loop().time()
-        if self._crowd.is_too_large(now_s):
+        if self._rate_limiter.exceeded(now_s):
             self._on_refused(Verdict.FLOOD, 1)
             return
         codec = self._codecs.get(address)
