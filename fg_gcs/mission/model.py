@@ -79,10 +79,10 @@ class FormationTable(MissionTable):
         """
         if self.shape == "hemisphere":
             if self.leaders is None or self.followers is None or self.edge_m is None:
-                raise ValueError("a hemisphere needs leaders, followers and edge_m")
+                raise ValueError("keys are missing; accepted: a hemisphere with leaders, followers and edge_m")
             return hemisphere(self.leaders, self.followers, self.edge_m)
         if self.leaders_yz_m is None:
-            raise ValueError("a custom shape needs leaders_yz_m")
+            raise ValueError("a key is missing; accepted: a custom shape with leaders_yz_m")
         rim = np.array([(0.0, y, z) for y, z in self.leaders_yz_m]).reshape(-1, 3)
         return Formation(rim, np.array(self.followers_xyz_m or [], dtype=float).reshape(-1, 3))
 

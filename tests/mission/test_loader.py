@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,8 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fg_gcs.errors import MissionError
-from fg_gcs.mission import Mission, load_mission
-from fg_gcs.mission.tables import MissionTable
+from fg_gcs.mission import load_mission
 from fg_gcs.plan.targets import Target
 
 MISSIONS = Path(__file__).parents[2] / "missions"
@@ -237,29 +234,3 @@ def test_a_custom_formation(tmp_path: Path) -> None:
     mission = load_mission(tmp_path / "custom.toml")
     assert mission.swarm.ids() == (3, 5, 7, 9)
     assert mission.task().formation.slots_m.tolist() == [[0, -2, -2], [0, 2, -2], [0, 0, 3], [-2, 0, 0]]
-
-
-def inner(annotation: object) -> list[type[MissionTable]]:
-    if isinstance(annotation, type) and issubclass(annotation, MissionTable):
-        return [annotation]
-    return [table for part in get_args(annotation) for table in inner(part)]
-
-
-def tables(model: type[MissionTable], above: str = "") -> Iterator[tuple[str, type[MissionTable]]]:
-    for name, field in model.model_fields.items():
-        for kind in inner(field.annotation):
-            yield above + name, kind
-            yield from tables(kind, f"{above}{name}.")
-
-
-def test_every_key_is_explained_in_the_missions_readme() -> None:
-    text = (MISSIONS / "README.md").read_text()
-    names = dict(tables(Mission))
-    assert len(names) > 15
-    for table, model in tables(Mission):
-        assert f"`[{table}]`" in text or f"`[[{table}]]`" in text
-        for key, field in model.model_fields.items():
-            assert f"`{key}`" in text, f"[{table}] {key}"
-            assert field.description, f"[{table}] {key}"
-    for path in MISSIONS.glob("*.toml"):
-        assert f"`{path.name}`" in text
