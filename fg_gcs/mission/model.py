@@ -1,4 +1,4 @@
-"""A mission as data. Every field's description says what is accepted; errors and docs quote it."""
+"""A mission as data. The description of every key says what is accepted and what it means; error lines quote it."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ DEFAULT_ORIGIN = Geodetic(47.397742, 8.545594, 488.0)  # where PX4's own simulat
 
 
 class SwarmTable(MissionTable):
-    """Who flies."""
+    """The vehicles that fly."""
 
-    vehicles: int = Field(ge=3, le=250, description="a whole number from 3 to 250")
+    vehicles: int = Field(ge=3, le=250, description="a whole number from 3 to 250, as many as the formation has slots")
     system_ids: list[SystemId | NetworkSystemId] | None = Field(
         default=None,
-        description="different whole numbers from 1 to 250, one a vehicle; with several networks the network's name "
-        'before each, as in "west/7" (default: 1, 2, 3, ...)',
+        description="different whole numbers from 1 to 250, one for each vehicle; with several networks the network's "
+        'name before each, as in "west/7" (default: 1, 2, 3, ...)',
     )
 
     def members(self) -> tuple[tuple[str, int], ...]:
@@ -61,22 +61,29 @@ class FormationTable(MissionTable):
 
     shape: Literal["hemisphere", "custom"] = Field(description='"hemisphere" or "custom"')
     leaders: int | None = Field(
-        default=None, ge=3, description="hemisphere: a whole number of vehicles on the rim, 3 or more"
+        default=None, ge=3, description="hemisphere: a whole number, 3 or more, of vehicles on the rim"
     )
     followers: int | None = Field(
-        default=None, ge=0, description="hemisphere: 0, 1 (pole), as many as leaders (circle), or one more (both)"
+        default=None,
+        ge=0,
+        description="hemisphere: 0, 1 (the pole), as many as leaders (a circle behind them), or one more (both)",
     )
     edge_m: Positive | None = Field(
-        default=None, description="hemisphere: distance of neighbouring leaders, a number above 0"
+        default=None, description="hemisphere: a number above 0, the distance between neighbouring leaders in metres"
     )
     leaders_yz_m: list[Ground] | None = Field(
-        default=None, description="custom: [y, z] in the face, 3 or more, counter-clockwise seen from the target"
+        default=None,
+        description="custom: 3 or more points [y, z] in metres, the rim, counter-clockwise as seen from the target",
     )
     followers_xyz_m: list[Point] | None = Field(
-        default=None, description="custom: [x, y, z] with x <= 0 behind the face"
+        default=None, description="custom: points [x, y, z] in metres, with x <= 0 so that they lie behind the face"
     )
-    centre_enu_m: Point = Field(description="[east, north, up] of the face's centre before the approach")
-    normal_enu: Point = Field(description="[east, north, up] that the face looks along before the approach, any length")
+    centre_enu_m: Point = Field(
+        description="[east, north, up] in metres, the centre of the face where the formation gathers"
+    )
+    normal_enu: Point = Field(
+        description="[east, north, up] of any length above 0, the direction in which the face looks there"
+    )
 
     def start(self) -> Pose:
         """Return where the face is before the approach.
@@ -94,47 +101,51 @@ class FormationTable(MissionTable):
         """
         if self.shape == "hemisphere":
             if self.leaders is None or self.followers is None or self.edge_m is None:
-                raise ValueError("a hemisphere needs leaders, followers and edge_m")
+                raise ValueError("keys are missing; accepted: a hemisphere with leaders, followers and edge_m")
             return hemisphere(self.leaders, self.followers, self.edge_m)
         if self.leaders_yz_m is None:
-            raise ValueError("a custom shape needs leaders_yz_m")
+            raise ValueError("a key is missing; accepted: a custom shape with leaders_yz_m")
         rim = np.array([(0.0, y, z) for y, z in self.leaders_yz_m]).reshape(-1, 3)
         return Formation(rim, np.array(self.followers_xyz_m or [], dtype=float).reshape(-1, 3))
 
 
 class TargetTable(MissionTable):
-    """What is surrounded: one point or several, and how far they reach."""
+    """A target at rest: one point or several, their extent, and how exactly they are known."""
 
     position_enu_m: Point | None = Field(
         default=None,
-        description="[east, north, up] in metres, above the floor and inside the fence; or positions_enu_m instead",
+        description="[east, north, up] in metres, inside the fence; or positions_enu_m instead",
     )
     positions_enu_m: list[Point] | None = Field(
         default=None,
         min_length=1,
         max_length=1000,
-        description="1 to 1000 points [east, north, up] in metres, above the floor and inside the fence",
+        description="1 to 1000 points [east, north, up] in metres, inside the fence",
     )
     weights: list[Positive] | None = Field(
-        default=None, description="numbers above 0, one for each of positions_enu_m (default: all the same)"
+        default=None, description="numbers above 0, one for each of positions_enu_m (default: all equal)"
     )
     source: Literal["centre", "charges"] = Field(
         default="centre",
-        description='"centre" (one source amid positions_enu_m) or "charges" (one at each; default "centre")',
+        description='"centre" (one source at their mean) or "charges" (one at each point; default "centre")',
     )
     radius_m: NotNegative = Field(
         default=0.0,
-        description="radius around the target that the face covers: 0 or more (default 0: it keeps its size)",
+        description="a number, 0 or more, the radius of the target in metres (default 0: a point)",
     )
     sigma_m: Deviation | tuple[Deviation, Deviation, Deviation] | None = Field(
-        default=None, description="standard deviation of the target's place, 0 to 1e6: one number, or [east, north, up]"
+        default=None,
+        description="0 to 1e6, a number or [east, north, up], standard deviation in metres (default: known exactly)",
     )
     confidence: float = Field(
-        default=0.95, gt=0, lt=1, description="probability that the face covers it, between 0 and 1 (default 0.95)"
+        default=0.95,
+        gt=0,
+        lt=1,
+        description="between 0 and 1, the probability with which the face covers the target (default 0.95)",
     )
 
     def target(self) -> Target:
-        """Return the target in the planner's words. Radii add up: of the points, of their extent, of the uncertainty.
+        """Return the target to plan for. Three radii add up: that of the points, of their extent, of the uncertainty.
 
         Raises:
             PlanError: numbers so large or so different that they have no centre or radius.
@@ -146,7 +157,7 @@ class TargetTable(MissionTable):
         return target.wider(uncertain(target.centre_enu_m, np.diag(variances), self.confidence).radius_m)
 
     def _exact(self) -> Target:
-        """The target as if its points had no extent and were known exactly."""
+        """Return the target as if its points had no extent and were known exactly."""
         if self.positions_enu_m is None:
             assert self.position_enu_m is not None, "the loader refuses targets without a position"
             return Target.ball(self.position_enu_m)
@@ -159,73 +170,84 @@ class TargetTable(MissionTable):
 
 
 class HoldTable(MissionTable):
-    """The stay around the target."""
+    """How long the formation stays around the target, and how deep inside it the target lies."""
 
-    duration_s: NotNegative = Field(default=5.0, description="a number, 0 or more (default 5)")
+    duration_s: NotNegative = Field(default=5.0, description="a number of seconds, 0 or more (default 5)")
     depth_m: NotNegative = Field(
-        default=0.25, description="how far the target lies behind the face, among the swarm: 0 or more (default 0.25)"
+        default=0.25,
+        description="a number of metres, 0 or more, how far behind the face the target lies (default 0.25)",
     )
 
 
 class PlanTable(MissionTable):
-    """How paths are searched for."""
+    """How the path is searched for."""
 
     formulation: FormulationName = Field(
-        default="rigid", description='"rigid" (one body) or "free" (each leader moves by itself; default "rigid")'
+        default="rigid",
+        description='"rigid" (the formation is one body) or "free" (each leader moves by itself; default "rigid")',
     )
 
 
 class LimitsTable(MissionTable):
-    """What no vehicle exceeds; the vehicles' own limits count as well."""
+    """Limits that no vehicle exceeds; where a vehicle's own limit is lower, that one holds."""
 
-    speed_m_s: Positive = Field(description="norm of the speed, a number above 0")
-    acceleration_m_s2: Positive = Field(description="norm of the acceleration, a number above 0")
-    climb_m_s: Positive | None = Field(default=None, description="a number above 0 (default: only the norm counts)")
-    descent_m_s: Positive | None = Field(default=None, description="a number above 0 (default: only the norm counts)")
+    speed_m_s: Positive = Field(description="a number above 0, the largest norm of a vehicle's velocity")
+    acceleration_m_s2: Positive = Field(description="a number above 0, the largest norm of a vehicle's acceleration")
+    climb_m_s: Positive | None = Field(default=None, description="a number above 0 (default: speed_m_s alone holds)")
+    descent_m_s: Positive | None = Field(default=None, description="a number above 0 (default: speed_m_s alone holds)")
     jerk_m_s3: Positive | None = Field(default=None, description="a number above 0 (default: no limit)")
-    separation_m: Positive = Field(description="no two vehicles come closer: a number above 0")
+    separation_m: Positive = Field(description="a number above 0, the smallest distance between two vehicles in metres")
 
 
 class FenceTable(MissionTable):
     """The box that no vehicle leaves while it follows a plan."""
 
-    low_enu_m: Point = Field(description="[west, south, floor] corner in metres")
-    high_enu_m: Point = Field(description="[east, north, ceiling] corner in metres, each above that of low_enu_m")
+    low_enu_m: Point = Field(description="[west, south, floor] in metres, one corner of the fence")
+    high_enu_m: Point = Field(
+        description="[east, north, ceiling] in metres, the opposite corner, each number above that of low_enu_m"
+    )
 
     def box(self) -> Fence:
-        """Return the fence in the planner's words."""
+        """Return the fence as the planner takes it."""
         return Fence(self.low_enu_m, self.high_enu_m)
 
 
 class TakeoffTable(MissionTable):
-    """From the pad to the first plan."""
+    """The climb from the pads, before the swarm gathers."""
 
-    height_m: Positive = Field(default=4.0, description="a number above 0 and not below the floor (default 4)")
+    height_m: Positive = Field(
+        default=4.0, description="a number of metres above 0, not below the floor of the fence (default 4)"
+    )
 
 
 class PadsTable(MissionTable):
-    """Where simulated vehicles stand; real ones stand where they are."""
+    """Where simulated vehicles stand; real vehicles are found where they stand."""
 
     first_enu_m: Ground = Field(
-        default=(0.0, 0.0), description="[east, north] of the first vehicle's pad (default [0, 0])"
+        default=(0.0, 0.0), description="[east, north] in metres, the pad of the first vehicle (default [0, 0])"
     )
     spacing_m: Positive = Field(
-        default=3.0, description="distance of neighbouring pads, above the separation (default 3)"
+        default=3.0, description="a number of metres above the separation, between neighbouring pads (default 3)"
     )
 
 
 class OriginTable(MissionTable):
     """Where on Earth the mission's (0, 0, 0) is."""
 
-    latitude_deg: float = Field(ge=-89, le=89, description="degrees from -89 to 89")
-    longitude_deg: float = Field(ge=-180, le=180, description="degrees from -180 to 180")
-    altitude_m: Finite = Field(description="metres above sea level")
+    latitude_deg: float = Field(ge=-89, le=89, description="a number of degrees from -89 to 89")
+    longitude_deg: float = Field(ge=-180, le=180, description="a number of degrees from -180 to 180")
+    altitude_m: Finite = Field(description="a number of metres above sea level")
 
 
 class StreamTable(MissionTable):
     """How setpoints are sent."""
 
-    rate_hz: Finite = Field(default=50.0, ge=20, le=200, description="a number from 20 to 200 (default 50)")
+    rate_hz: Finite = Field(
+        default=50.0,
+        ge=20,
+        le=200,
+        description="a number from 20 to 200, setpoints a second to each vehicle (default 50)",
+    )
 
 
 class SimulatorTable(MissionTable):
@@ -233,13 +255,15 @@ class SimulatorTable(MissionTable):
 
     autopilot: Literal["px4", "ardupilot"] = Field(default="px4", description='"px4" or "ardupilot" (default "px4")')
     seed: int = Field(default=0, ge=0, description="a whole number, 0 or more (default 0)")
-    wind_m_s: NotNegative = Field(default=0.0, description="mean wind speed, 0 or more (default 0)")
+    wind_m_s: NotNegative = Field(
+        default=0.0, description="a number of metres a second, 0 or more, the mean wind (default 0)"
+    )
 
 
 class Mission(MissionTable):
     """A whole mission file."""
 
-    description: str = Field(default="", description="a line of text for people")
+    description: str = Field(default="", description="a line of text")
     swarm: SwarmTable = Field(description="a table")
     networks: dict[NetworkName, list[VehicleEndpoint]] | None = Field(
         default=None,
@@ -291,7 +315,7 @@ class Mission(MissionTable):
         return tuple(f"{name}={endpoint}" for name, endpoints in networks.items() for endpoint in endpoints)
 
     def task(self) -> Task:
-        """Return the mission in the planner's words, under its own limits alone.
+        """Return the planning task of the mission, under its own limits alone.
 
         Moving targets stand where they are at first.
 
@@ -320,7 +344,7 @@ class Mission(MissionTable):
         )
 
     def first_target(self) -> Target:
-        """Return what is surrounded in the planner's words; moving targets stand where they are at first.
+        """Return the target to plan for; moving targets stand where they are at first.
 
         Several of them count as one around their centre of charge. Its radius is that of all of them, at most that of
         ``[track] most_radius_m``.

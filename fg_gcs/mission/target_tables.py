@@ -1,4 +1,4 @@
-"""Tables of a mission with moving targets: how each moves, who senses it, how well, and how it is tracked."""
+"""Tables of a mission with moving targets: how each moves, where its sightings come from, and how it is tracked."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MAX_BYTES = 20_000_000  # of a file of positions: 10 Hz for half a day
 
 
 class StaticMotion(MissionTable):
-    """It stays."""
+    """A target at rest."""
 
     kind: Literal["static"] = Field(description='"static"')
     position_enu_m: Point = Field(description="[east, north, up] in metres")
@@ -46,17 +46,19 @@ class StaticMotion(MissionTable):
 
 
 class WaypointsMotion(MissionTable):
-    """From point to point."""
+    """From point to point along straight legs."""
 
     kind: Literal["waypoints"] = Field(description='"waypoints"')
     points_enu_m: list[Point] = Field(
         min_length=2, max_length=1000, description="2 to 1000 points [east, north, up] in metres"
     )
-    speed_m_s: Rate = Field(description="speed between the corners, above 0, at most 1e4")
+    speed_m_s: Rate = Field(description="a number above 0, at most 1e4, the speed between corners")
     acceleration_m_s2: Rate = Field(
-        default=1.0, description="at the start, in the corners and at the end: above 0, at most 1e4 (default 1)"
+        default=1.0, description="a number above 0, at most 1e4, at the start, in corners and at the end (default 1)"
     )
-    closed: bool = Field(default=False, description="true (round and round) or false (rest at both ends; default)")
+    closed: bool = Field(
+        default=False, description="true (round and round) or false (at rest at both ends; default false)"
+    )
 
     def motion(self, target: str) -> TrueMotion:
         """Return the motion of the target of that name.
@@ -68,16 +70,18 @@ class WaypointsMotion(MissionTable):
 
 
 class CircleMotion(MissionTable):
-    """Round and round."""
+    """Round a level circle without end."""
 
     kind: Literal["circle"] = Field(description='"circle"')
     centre_enu_m: Point = Field(description="[east, north, up] in metres")
-    radius_m: Length = Field(description="0.1 to 1e6")
-    speed_m_s: Rate = Field(description="above 0, at most 1e4")
+    radius_m: Length = Field(description="a number of metres from 0.1 to 1e6")
+    speed_m_s: Rate = Field(description="a number above 0, at most 1e4")
     phase_deg: Finite = Field(
-        default=0.0, description="where it is at first, counter-clockwise from east: degrees (default 0)"
+        default=0.0, description="a number of degrees, where it is at first, counter-clockwise from east (default 0)"
     )
-    clockwise: bool = Field(default=False, description="true or false, as seen from above (default false)")
+    clockwise: bool = Field(
+        default=False, description="true or false, the sense of rotation as seen from above (default false)"
+    )
 
     def motion(self, target: str) -> TrueMotion:
         """Return the motion of the target of that name."""
@@ -85,14 +89,15 @@ class CircleMotion(MissionTable):
 
 
 class FigureEightMotion(MissionTable):
-    """A lying eight."""
+    """Along a level figure of eight without end."""
 
     kind: Literal["figure_eight"] = Field(description='"figure_eight"')
-    centre_enu_m: Point = Field(description="[east, north, up] of the crossing in metres")
-    length_m: Length = Field(description="from end to end, 0.1 to 1e6; it is half as wide")
-    top_speed_m_s: Rate = Field(description="in the crossing, above 0, at most 1e4")
+    centre_enu_m: Point = Field(description="[east, north, up] in metres, the crossing")
+    length_m: Length = Field(description="a number of metres from 0.1 to 1e6, from end to end; it is half as wide")
+    top_speed_m_s: Rate = Field(description="a number above 0, at most 1e4, the speed in the crossing")
     heading_deg: Finite = Field(
-        default=90.0, description="of its length, clockwise from north: degrees (default 90, eastwards)"
+        default=90.0,
+        description="a number of degrees, the direction of its length, clockwise from north (default 90, east)",
     )
 
     def motion(self, target: str) -> TrueMotion:
@@ -101,17 +106,18 @@ class FigureEightMotion(MissionTable):
 
 
 class RandomWalkMotion(MissionTable):
-    """Dodging at random inside a box."""
+    """At random inside a box."""
 
     kind: Literal["random_walk"] = Field(description='"random_walk"')
-    low_enu_m: Point = Field(description="[west, south, low] corner of its box in metres")
-    high_enu_m: Point = Field(description="[east, north, high] corner of its box in metres")
+    low_enu_m: Point = Field(description="[west, south, low] in metres, one corner of its box")
+    high_enu_m: Point = Field(description="[east, north, high] in metres, the opposite corner")
     start_enu_m: Point | None = Field(
-        default=None, description="[east, north, up] inside the box (default: its middle)"
+        default=None,
+        description="[east, north, up] in metres inside the box, where it starts at rest (default: the middle)",
     )
-    speed_m_s: Rate = Field(description="norm of its velocity at most, above 0, at most 1e4")
+    speed_m_s: Rate = Field(description="a number above 0, at most 1e4, its largest speed")
     acceleration_m_s2: Rate = Field(
-        default=1.0, description="norm of its acceleration at most, above 0, at most 1e4 (default 1)"
+        default=1.0, description="a number above 0, at most 1e4, its largest acceleration (default 1)"
     )
     seed: Seed = Field(default=0, description="a whole number, 0 or more (default 0)")
 
@@ -119,7 +125,7 @@ class RandomWalkMotion(MissionTable):
         """Return the motion of the target of that name.
 
         Raises:
-            ValueError: the corners are no box, or the start is outside.
+            ValueError: the corners do not span a box, or the start lies outside it.
         """
         return random_walk.RandomWalk(
             self.low_enu_m, self.high_enu_m, self.speed_m_s, self.acceleration_m_s2, self.seed, self.start_enu_m
@@ -127,10 +133,12 @@ class RandomWalkMotion(MissionTable):
 
 
 class FileMotion(MissionTable):
-    """As a file says."""
+    """Through the positions of a file."""
 
     kind: Literal["file"] = Field(description='"file"')
-    path: FilePath = Field(description="a CSV file, from the mission's folder, see missions/README.md")
+    path: FilePath = Field(
+        description="the name of a CSV file, relative to the mission's folder, see missions/README.md"
+    )
 
     def motion(self, target: str) -> TrueMotion:
         """Read the motion of the target of that name.
@@ -148,40 +156,43 @@ Motion = StaticMotion | WaypointsMotion | CircleMotion | FigureEightMotion | Ran
 
 
 class ScriptSource(MissionTable):
-    """The motion itself, seen through the sensor."""
+    """The motion of the mission file, seen by the sensor."""
 
     kind: Literal["script"] = Field(description='"script"')
 
 
 class CsvSource(MissionTable):
-    """Sightings from a file, replayed from when tracking begins."""
+    """Sightings of a file, replayed from the start of tracking."""
 
     kind: Literal["csv"] = Field(description='"csv"')
-    path: FilePath = Field(description="a CSV file, from the mission's folder, see missions/README.md")
+    path: FilePath = Field(
+        description="the name of a CSV file, relative to the mission's folder, see missions/README.md"
+    )
 
 
 class UdpSource(MissionTable):
     """Sightings in datagrams."""
 
     kind: Literal["udp"] = Field(description='"udp"')
-    endpoint: Udp = Field(description='"udpin:HOST:PORT", a port that no other source uses')
+    endpoint: Udp = Field(description='"udpin:HOST:PORT", with a port that no other source uses')
 
 
 class VehicleSource(MissionTable):
-    """A MAVLink vehicle that tells where it is."""
+    """A MAVLink vehicle that reports its own position."""
 
     kind: Literal["vehicle"] = Field(description='"vehicle"')
-    system_id: SystemId = Field(description="a whole number from 1 to 250 that no other vehicle has")
+    system_id: SystemId = Field(description="a whole number from 1 to 250 that no other vehicle uses")
     message: Literal["GLOBAL_POSITION_INT", "FOLLOW_TARGET"] = Field(
         default="GLOBAL_POSITION_INT",
         description='"GLOBAL_POSITION_INT" or "FOLLOW_TARGET" (default "GLOBAL_POSITION_INT")',
     )
     simulated: bool = Field(
-        default=False, description="true (a simulated vehicle flies the motion) or false (a real one comes; default)"
+        default=False,
+        description="true (a simulated vehicle flies the motion) or false (a real one is awaited; default false)",
     )
     endpoint: Udp | None = Field(
         default=None,
-        description='"udpin:HOST:PORT" of a real vehicle, which vehicles may share; none if simulated',
+        description='"udpin:HOST:PORT" where a real vehicle is heard (vehicles may share it), not if simulated',
     )
 
 
@@ -189,28 +200,39 @@ Source = ScriptSource | CsvSource | UdpSource | VehicleSource
 
 
 class SensorTable(MissionTable):
-    """How well a target is seen."""
+    """How often and how exactly a target is seen."""
 
     rate_hz: Annotated[float, Field(gt=0, le=100)] = Field(
-        default=10.0, description="a number above 0, at most 100 (default 10)"
+        default=10.0, description="a number above 0, at most 100, of measurements a second (default 10)"
     )
-    sigma_m: Deviation = Field(default=0.5, description="standard deviation along each axis, 0 to 1e6 (default 0.5)")
-    delay_s: Annotated[float, Field(ge=0, le=60)] = Field(default=0.1, description="0 to 60 (default 0.1)")
+    sigma_m: Deviation = Field(
+        default=0.5,
+        description="a number of metres from 0 to 1e6, the deviation along each axis (default 0.5)",
+    )
+    delay_s: Annotated[float, Field(ge=0, le=60)] = Field(
+        default=0.1, description="a number of seconds from 0 to 60, from measurement to arrival (default 0.1)"
+    )
     jitter_s: Annotated[float, Field(ge=0, le=10)] = Field(
-        default=0.0, description="looks are this much early or late at most, 0 to 10 (default 0)"
+        default=0.0, description="a number of seconds from 0 to 10, how early or late a measurement may be (default 0)"
     )
-    drop: Share = Field(default=0.0, description="share of the sightings that are lost, 0 to 1 (default 0)")
-    outliers: Share = Field(default=0.0, description="share of the sightings that are wild, 0 to 1 (default 0)")
-    outlier_m: NotNegative = Field(default=20.0, description="how far off those are, 0 or more (default 20)")
+    drop: Share = Field(
+        default=0.0, description="a number from 0 to 1, the share of sightings that are lost (default 0)"
+    )
+    outliers: Share = Field(
+        default=0.0, description="a number from 0 to 1, the share of sightings that are outliers (default 0)"
+    )
+    outlier_m: NotNegative = Field(
+        default=20.0, description="a number of metres, 0 or more, how far off outliers are (default 20)"
+    )
     silence: list[tuple[NotNegative, NotNegative]] = Field(
         default=[],
         max_length=100,
-        description="spans [from, to] in seconds of tracking in which nothing is seen (default: none)",
+        description="up to 100 spans [from, to] in seconds of tracking without sightings (default [])",
     )
     seed: Seed = Field(default=0, description="a whole number, 0 or more (default 0)")
 
     def settings(self) -> SensorSettings:
-        """Return them in the tracker's words."""
+        """Return the settings as the sensor takes them."""
         return SensorSettings(
             self.rate_hz,
             self.sigma_m,
@@ -224,14 +246,16 @@ class SensorTable(MissionTable):
 
 
 class MovingTarget(MissionTable):
-    """One target that may move."""
+    """One moving target."""
 
-    name: str = Field(pattern=r"^[a-z0-9_]{1,32}$", description="1 to 32 of the characters a-z, 0-9 and _, once")
+    name: str = Field(
+        pattern=r"^[a-z0-9_]{1,32}$", description="1 to 32 of the characters a-z, 0-9 and _, different for every target"
+    )
     position_enu_m: Point | None = Field(
         default=None,
-        description="[east, north, up] in metres where it is at first (default: where its motion or file begins)",
+        description="[east, north, up] in metres, where it is at first (default: where its motion or file begins)",
     )
-    weight: Positive = Field(default=1.0, description="how much it counts among the targets, above 0 (default 1)")
+    weight: Positive = Field(default=1.0, description="a number above 0, its weight among the targets (default 1)")
     motion: Annotated[Motion, Field(discriminator="kind")] | None = Field(default=None, description="a table")
     source: Annotated[Source, Field(discriminator="kind")] = Field(
         default=ScriptSource(kind="script"), description="a table"
@@ -244,7 +268,7 @@ class MovingTarget(MissionTable):
         return isinstance(self.source, VehicleSource) and self.source.simulated
 
     def true_motion(self) -> TrueMotion | None:
-        """Return how it moves, None where only the world knows.
+        """Return how it moves; None for a target whose motion is not part of the mission.
 
         Raises:
             MissionError: its file cannot be read, or something in it is wrong.
@@ -278,7 +302,7 @@ class MovingTarget(MissionTable):
             return first
         rows = self.replay()
         if not rows:
-            raise ValueError("missing; accepted: a position_enu_m where neither a motion nor a file has one")
+            raise ValueError("missing; accepted: a position_enu_m where neither a motion nor a file gives one")
         return rows[0].position_enu_m
 
 
@@ -288,35 +312,41 @@ class TrackTable(MissionTable):
     model: Literal["mixed", "velocity", "acceleration"] = Field(
         default="mixed",
         description=(
-            'what a target is believed to do: keep its "velocity"; have an "acceleration" that comes and fades; or '
-            '"mixed", that or steady turns, as the sightings say (default)'
+            '"velocity" (constant but for noise), "acceleration" (one that comes and fades) or "mixed" (that or a '
+            'steady turn, as the sightings show; default "mixed")'
         ),
     )
     lost_after_s: Positive = Field(
-        default=1.0, description="a target not seen for so long is lost, a number above 0 (default 1)"
+        default=1.0, description="a number of seconds above 0 without a sighting until a target is lost (default 1)"
     )
     give_up_s: Positive = Field(
-        default=60.0, description="home after so long without a capture or any sighting, above 0 (default 60)"
+        default=60.0,
+        description="a number of seconds above 0 without a capture or sighting until the swarm goes home (default 60)",
     )
     on_lost: Literal["hold", "home"] = Field(
-        default="hold", description='"hold" (wait until give_up_s) or "home" (go home at once; default "hold")'
+        default="hold", description='"hold" (wait for it, up to give_up_s) or "home" (go home at once; default "hold")'
     )
     capture_m: Positive = Field(
-        default=1.5, description="it is caught once the centre is this near by the estimate, above 0 (default 1.5)"
+        default=1.5,
+        description="a number of metres above 0 from its place in the formation, within it is caught (default 1.5)",
     )
     confidence: float = Field(
-        default=0.95, gt=0, lt=1, description="that the face covers what is uncertain, between 0 and 1 (default 0.95)"
+        default=0.95,
+        gt=0,
+        lt=1,
+        description="between 0 and 1, the probability with which the face covers the targets (default 0.95)",
     )
     most_radius_m: Positive = Field(
-        default=12.0, description="the face grows until it covers this radius, no further: above 0 (default 12)"
+        default=12.0,
+        description="a number of metres above 0, the largest radius that the face grows to cover (default 12)",
     )
 
 
 def read_positions(path: str, target: str, sigma_m: float) -> list[Sighting]:
-    """Read a target's rows of a file, in its order.
+    """Read the rows of one target in a file, in the order of the file.
 
     Raises:
-        MissionError: the file cannot be read, is none, or has no row of the target; one line.
+        MissionError: the file cannot be read, is not such a file, or has no row of the target; one line.
     """
     file = Path(path)
     try:
@@ -327,5 +357,5 @@ def read_positions(path: str, target: str, sigma_m: float) -> list[Sighting]:
         raise MissionError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     rows = [row for row in parse_csv(data, path, sigma_m) if row.target == target]
     if not rows:
-        raise MissionError(f"{path}: no line of target {target!r}; accepted: one or more")
+        raise MissionError(f"{path}: no row for target {target!r}; accepted: one or more")
     return rows

@@ -1,4 +1,4 @@
-"""What a plan must keep, judged in one place: limits, fence and separation, with one tolerance for rounding."""
+"""The one place where motion is judged: shares of the limits it uses, what leaves the fence, which pairs are close.
 
 Planning, following, flight, experiments and the loading of missions all ask here, so that they cannot disagree on what
 a limit bounds, or on what still counts as rounding.

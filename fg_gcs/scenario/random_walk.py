@@ -47,10 +47,10 @@ class RandomWalk:
         self.box_enu_m = np.array([low_enu_m, high_enu_m], dtype=float)
         self.box_enu_m.setflags(write=False)
         if (self.box_enu_m[0] > self.box_enu_m[1]).any():
-            raise ValueError("each number of the high corner must not be below that of the low corner")
+            raise ValueError("high_enu_m lies below low_enu_m; accepted: each number at least that of low_enu_m")
         start = self.box_enu_m.mean(axis=0) if start_enu_m is None else np.array(start_enu_m, dtype=float)
         if not self._inside(start):
-            raise ValueError("it starts outside of its box")
+            raise ValueError("start_enu_m lies outside the box; accepted: a point inside")
         self.top_speed_m_s = speed_m_s
         self._acceleration_m_s2 = acceleration_m_s2
         # Along a flat side of the box hardly any full draw would fit: draws are flat as well

@@ -24,9 +24,9 @@ class Recorded:
     def __init__(self, time_s: Array, position_enu_m: Array) -> None:
         times, positions = np.array(time_s, dtype=float), np.array(position_enu_m, dtype=float)
         if times.ndim != 1 or len(times) == 0 or positions.shape != (len(times), 3):
-            raise ValueError("one position a time is needed, and one time at least")
+            raise ValueError("times and positions do not match; accepted: one position for each time, and at least one")
         if not (np.diff(times) > 0.0).all():
-            raise ValueError("the times must ascend")
+            raise ValueError("the times do not ascend; accepted: each time_s above the one before")
         self._times, self._positions = times, positions
         slopes = np.zeros_like(positions)
         if len(times) > 2:

@@ -34,7 +34,7 @@ class Waypoints:
     ) -> None:
         points = np.array(points_enu_m, dtype=float).reshape(-1, 3)
         if len(points) < (3 if closed else 2):
-            raise ValueError(f"{len(points)} points; accepted: {'3 or more if closed' if closed else '2 or more'}")
+            raise ValueError(f"got {len(points)} points; accepted: {'3 or more if closed' if closed else '2 or more'}")
         self._points = points
         self.top_speed_m_s = speed_m_s
         self._acceleration_m_s2 = acceleration_m_s2
@@ -43,7 +43,9 @@ class Waypoints:
         legs = ends - points[: len(ends)]  # (L, 3)
         lengths = np.linalg.norm(legs, axis=1)
         if not lengths.min() > 0.0:
-            raise ValueError(f"point {int(lengths.argmin()) + 1} and the next one are in one place")
+            raise ValueError(
+                f"point {int(lengths.argmin()) + 1} and the next are equal; accepted: points apart from each other"
+            )
         self._velocities = speed_m_s * legs / lengths[:, None]  # (L, 3)
         self._legs_s = lengths / speed_m_s  # (L,)
         before, after = self._around()
@@ -55,7 +57,7 @@ class Waypoints:
             needed_m = speed_m_s * (self._legs_s[leg] + short_s[leg])
             raise ValueError(
                 f"the leg from point {leg + 1} is {lengths[leg]:.2f} m long; accepted: {needed_m:.2f} m or more for "
-                "the turns at its ends, or a lower speed_m_s, or a higher acceleration_m_s2"
+                "the turns at its ends, a lower speed_m_s or a higher acceleration_m_s2"
             )
 
     @property

@@ -120,8 +120,8 @@ def test_a_closed_course_comes_round() -> None:
     [
         (SQUARE[:1], False, "1 points; accepted: 2 or more"),
         (SQUARE[:2], True, "2 points; accepted: 3 or more if closed"),
-        ([SQUARE[0], SQUARE[1], SQUARE[1]], False, "point 2 and the next one are in one place"),
-        ([*SQUARE[:3], SQUARE[0]], True, "point 4 and the next one are in one place"),
+        ([SQUARE[0], SQUARE[1], SQUARE[1]], False, "point 2 and the next are equal"),
+        ([*SQUARE[:3], SQUARE[0]], True, "point 4 and the next are equal"),
         ([SQUARE[0], (3.0, 0.0, 10.0)], False, "the leg from point 1 is 3.00 m long; accepted: 8.00 m or more"),
     ],
 )
@@ -158,7 +158,7 @@ def test_a_walk_in_a_flat_box_stays_level() -> None:
 
 
 def test_walks_without_a_place_are_refused() -> None:
-    with pytest.raises(ValueError, match="high corner"):
+    with pytest.raises(ValueError, match="high_enu_m lies below"):
         RandomWalk(BOX[1], BOX[0], 5.0, 1.0, seed=0)
     with pytest.raises(ValueError, match="outside"):
         RandomWalk(*BOX, 5.0, 1.0, seed=0, start_enu_m=(0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Mission files in TOML: read once into a type that verifies them, or refused in one clear line."""
+"""Mission files in TOML: parsed once into a checked type, or refused in one clear line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def load_mission(path: Path) -> Mission:
     """
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise MissionError(f"{path}: larger than {MAX_BYTES} bytes, so not a mission file")
+            raise MissionError(f"{path}: larger than {MAX_BYTES} bytes; accepted: a mission file, which has some 2 kB")
         text = path.read_bytes().decode()
     except OSError as error:
         raise MissionError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -54,7 +54,7 @@ def parse_mission(text: str, path: Path = Path("mission.toml")) -> Mission:
         mission = Mission.model_validate_json(json.dumps(tables, default=str), context={FOLDER: path.parent})
     except ValidationError as error:
         found = [_explained(details) for details in error.errors()]
-        # One problem a key, the first: a key of several types is told once for each of them
+        # One problem a key, the first: a key of several types is reported once for each of them
         problems = list({(problem.table, problem.key): problem for problem in reversed(found)}.values())[::-1]
     else:
         problems = list(problems_of(mission))
@@ -72,9 +72,9 @@ def _no_toml(path: Path, error: Exception) -> MissionError:
 
 def _explained(details: ErrorDetails) -> Problem:
     """Turn pydantic's finding into table, key and what would be accepted."""
-    kinds: list[type[MissionTable]] = [Mission]  # of the table that is looked into; several: its tag comes next
+    kinds: list[type[MissionTable]] = [Mission]  # of the table at hand; with several, its tag comes next
     path: list[str] = []
-    key, accepted, which = "", "the tables that missions/README.md names", ""
+    key, accepted, which = "", "the tables that missions/README.md lists", ""
     for depth, part in enumerate(details["loc"]):
         if not kinds:
             break  # inside a value: its key is known already
@@ -94,7 +94,7 @@ def _explained(details: ErrorDetails) -> Problem:
             break
         accepted, kinds = field.description or accepted, _tables(field.annotation)
     found = "missing" if details["type"] == "missing" else f"got {_short(details['input'])}"
-    if details["type"].startswith("union_tag"):  # the table does not say which one it is
+    if details["type"].startswith("union_tag"):  # the table does not state its kind
         tag = details.get("ctx", {}).get("tag")
         path, key, found = [*path, key], "kind", "missing" if tag is None else f"got {_short(tag)}"
         accepted = ", ".join(f'"{_tag(kind)}"' for kind in kinds)

@@ -4,7 +4,8 @@ Kalman filters along stamps, not arrivals [BarShalom2001]_: every sighting of th
 what was known after it, so that a late one is put in its place and the newer ones are looked at again. The result is
 the same whatever the order of arrival. One rule begins tracks and ends wrong ones: sightings that do not belong to the
 track are held, and as soon as enough of them agree with each other, the track begins anew from those. So neither a wild
-first sighting nor a target that jumped can mislead the filter for longer than a few sightings.
+first sighting nor a target that jumped can mislead the filter for longer than a few sightings. docs/derivations.md has
+the equations.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Several targets as one: the point a formation surrounds, and the ball around it that its face has to hold."""
+"""Several targets as one: the point that a formation surrounds, and the ball around it that its face has to cover.
+
+docs/derivations.md has the equations.
+"""
 
 from __future__ import annotations
 

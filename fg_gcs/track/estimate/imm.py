@@ -2,7 +2,7 @@
 
 Each model keeps its own mean and covariance; the sightings say which one to believe. What is believed of B models are
 weights, shape (B,), that sum to 1, means, (B, order, 3), covariances, (B, 3 order, 3 order), and rates of turn, (B,).
-One model alone is a plain Kalman filter. Compiled code is cached beside the source.
+One model alone is a plain Kalman filter. docs/derivations.md has the equations of mixing and merging.
 """
 
 from __future__ import annotations

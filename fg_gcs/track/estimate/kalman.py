@@ -1,7 +1,7 @@
 """The filter's arithmetic: models of motion, prediction by exactly integrated noise, and update by a position.
 
 Three models: white acceleration; an acceleration that fades [Singer1970]_; and one that turns with the velocity, so
-that the target goes round in a steady turn in any plane [BestNorton1997]_.
+that the target goes round in a steady turn in any plane [BestNorton1997]_. docs/derivations.md has the equations.
 
 Means have shape (order, 3), derivatives by rows: position, velocity and, with order 3, acceleration [SI; ENU].
 Covariances have shape (3 order, 3 order), in blocks of three in the same order. Compiled code is cached beside the

@@ -2,6 +2,7 @@
 
 Every vehicle of a rigid formation is at ``c + M b`` with its slot ``b``; ``M`` is scale times attitude. All that a
 vehicle does is affine in its slot, so that the frame's twelve numbers and their two derivatives say everything.
+docs/derivations.md derives both directions of the conversion between axes and frames.
 """
 
 from __future__ import annotations
@@ -42,11 +43,7 @@ class State(NamedTuple):
 
 
 def state_of(frames: Frames) -> State:
-    """Return the state at the first instant.
-
-    With ``M = k R``: ``M' M^-1 = k'/k + [w]`` and ``M'' M^-1 = k''/k + 2 k'/k [w] + [w'] + [w]^2``, ``[.]`` being the
-    matrix of the cross product. Where the turn is zero, its derivatives are ``w`` and ``w'``.
-    """
+    """Return the state at the first instant; its turn is zero, so the derivatives of the turn are those of rates."""
     arms, first, second = frames.arms[0]
     scale = float(np.cbrt(np.linalg.det(arms)))
     inverse = arms.T / scale**2
@@ -93,11 +90,7 @@ def _swarm(centre: Array, arms: Array, slots: Array) -> tuple[Array, Array, Arra
 
 @kernel
 def _turned(axes: Array, arms: Array) -> None:
-    """Fill ``arms``, (T, 3, 3, 3), with scale times rotation and its derivatives.
-
-    A turn by the rotation vector ``f`` has the rate ``w = f' + b f x f' + d f x (f x f')``, see
-    :func:`fg_gcs.plan.path.splines.turning`; ``w'`` is the derivative of that.
-    """
+    """Fill ``arms``, (T, 3, 3, 3), with scale times rotation and its derivatives; ``w``, ``g``: rate and its growth."""
     swing, bend = np.empty((3, 3)), np.empty((3, 3))
     for i in range(len(axes)):
         f = (axes[i, 0, 3], axes[i, 0, 4], axes[i, 0, 5])

@@ -4,7 +4,7 @@ The flux says how the face has to stand: towards the target, by the same search 
 centre goes state to state, with bounded jerk, to the place around the target where and when it will be met, at the
 target's own velocity then. A face that looks away turns on the spot first. Every candidate is verified before it is
 taken, from its start to the rest that it ends in; when none holds, the present trajectory goes on: that one was
-verified.
+verified. docs/derivations.md has the equations.
 """
 
 from __future__ import annotations
