@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sitl_mock import profiles
 from sitl_mock.autopilot.autopilot import Autopilot, Setup
-from sitl_mock.autopilot.pilot import Body
-from sitl_mock.autopilot.profiles import MANNERS
+from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.host.vehicle import Vehicle
 from sitl_mock.physics.constants import Physics, load_physics
 from sitl_mock.physics.geodesy import Geodetic, World
@@ -58,17 +58,21 @@ class Fleet:
     """V vehicles.
 
     Args:
-        options: who and where.
+        options: which vehicles, and where they stand.
+
+    Raises:
+        ValueError: there is no such autopilot.
     """
 
     def __init__(self, options: FleetOptions) -> None:
         self.physics: Physics = load_physics()
-        profile = MANNERS[options.autopilot]
+        rules, dialect = profiles.strategy(options.autopilot)
+        self.profile = rules.profile
         world = World(Geodetic(*options.origin_deg_m))
         pads_ned_m = np.array([(north, east, 0.0) for east, north in options.pads_enu_m]).reshape(-1, 3)  # (V, 3)
         errors, drifts, wind = np.random.default_rng(options.seed).spawn(3)
         self.swarm = Particles(self.physics, pads_ned_m, options.wind_m_s, wind)
-        sigma = np.array([profile.position_error_m[0]] * 2 + [profile.position_error_m[1]])
+        sigma = np.array([rules.profile.position_error_m[0]] * 2 + [rules.profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma
         self.vehicles = []
         for k, system_id in enumerate(options.system_ids):
@@ -80,7 +84,7 @@ class Fleet:
                 _vec3(noise[k].tolist()),
                 float(drifts.uniform(-np.pi, np.pi)),
             )
-            self.vehicles.append(Vehicle(Autopilot(profile, setup, world)))
+            self.vehicles.append(Vehicle(Autopilot(rules, setup, world), dialect))
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
         self._step = 0
 
@@ -136,7 +140,7 @@ class Fleet:
             self.swarm.commands.set(vehicle, *given, self.physics.tracking)
         self.swarm.commands.flying[vehicle] = True
 
-    def _bodies(self, now_s: float) -> Iterator[Body]:
+    def _bodies(self, now_s: float) -> Iterator[BodyState]:
         positions_m, velocities_m_s = (array.tolist() for array in self.swarm.at(now_s))
         swarm = self.swarm
         rows = zip(
@@ -149,12 +153,12 @@ class Fleet:
             strict=True,
         )
         for position, velocity, acceleration, yaw_rad, rate_rad_s, contact in rows:
-            yield Body(now_s, _vec3(position), _vec3(velocity), _vec3(acceleration), yaw_rad, rate_rad_s, contact)
+            yield BodyState(now_s, _vec3(position), _vec3(velocity), _vec3(acceleration), yaw_rad, rate_rad_s, contact)
 
-    def _body(self, vehicle: int, now_s: float) -> Body:
+    def _body(self, vehicle: int, now_s: float) -> BodyState:
         swarm = self.swarm
         positions_m, velocities_m_s = swarm.at(now_s)
-        return Body(
+        return BodyState(
             now_s,
             _vec3(positions_m[vehicle].tolist()),
             _vec3(velocities_m_s[vehicle].tolist()),

@@ -162,7 +162,7 @@ class Simulator:
             PortUnavailable: a port is taken; nothing is left open.
         """
         self._loop = asyncio.get_running_loop()
-        sticky = self.options.autopilot == "px4"
+        sticky = self.fleet.profile.first_sender_is_partner
         try:
             for vehicle in range(len(self.options.system_ids) + len(self.options.targets)):
                 self._ports.append([])

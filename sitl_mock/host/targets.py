@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from sitl_mock.links import Link
-from sitl_mock.messages import Fields, StatusText
+from sitl_mock.messages import Fields, SystemStatus
 from sitl_mock.physics import courses
 from sitl_mock.physics.geodesy import Geodetic, World
 from sitl_mock.protocol.codec import Codec
@@ -153,7 +153,7 @@ _HEARTBEAT: Fields = {
     "autopilot": GENERIC,
     "base_mode": ARMED_BIT,
     "custom_mode": 0,
-    "system_status": int(StatusText.ACTIVE),
+    "system_status": int(SystemStatus.ACTIVE),
     "mavlink_version": 3,
 }
 
