@@ -51,7 +51,7 @@ class Station:
     ) -> None:
         pads = tuple((3.0 * k, 0.0) for k in range(vehicles))
         ids = tuple(range(1, vehicles + 1))
-        self.fleet = Fleet(FleetOptions(autopilot, pads, ids, links, seed=seed, real_boot=real_boot, wind_m_s=wind_m_s))
+        self.fleet = Fleet(FleetOptions(autopilot, pads, ids, seed=seed, real_boot=real_boot, wind_m_s=wind_m_s), links)
         self.px4 = autopilot == "px4"
         self.tick = 0
         self.heard: list[tuple[float, int, int, Any]] = []  # time, vehicle, link, message
