@@ -1,5 +1,31 @@
 """A particle simulator of MAVLink vehicles that answers as PX4 and ArduPilot SITL do; imports nothing from fg_gcs.
 
-In process: `sitl_mock.host.server.Simulator` with `SimulatorOptions`. As a process: `python -m sitl_mock`.
-Without sockets, for tests: `sitl_mock.host.fleet.Fleet`. Nothing is imported here, so that `--help` stays quick.
+In process, on any asyncio event loop::
+
+    from sitl_mock import Simulator, SimulatorOptions, grid
+
+    async with Simulator(SimulatorOptions(pads_enu_m=grid(10))) as simulator:
+        ...
+
+As a process: `python -m sitl_mock`. Without sockets or a clock, for tests: `sitl_mock.host.fleet.Fleet`.
 """
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sitl_mock.host.fleet import grid
+    from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
+    from sitl_mock.host.targets import TargetOptions, parse_target
+
+__all__ = ["Counters", "PortUnavailable", "Simulator", "SimulatorOptions", "TargetOptions", "grid", "parse_target"]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used, so that `python -m sitl_mock --help` stays quick."""
+    for module in ("fleet", "server", "targets"):
+        if name in __all__ and hasattr(found := importlib.import_module(f"sitl_mock.host.{module}"), name):
+            return getattr(found, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

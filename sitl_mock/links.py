@@ -1,4 +1,4 @@
-"""One remote's view of a vehicle: whether it hears texts, and which messages it gets how often."""
+"""What a vehicle keeps for one remote: whether it is sent status texts, and which messages how often."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Link:
         self._next_s = min(self._next_s, now_s + period_s)
 
     def default_period_s(self, name: str) -> float | None:
-        """The interval that a message has when nobody asked; None: not sent."""
+        """The interval that a message has when it was not asked for; None: not sent."""
         hz = self._default_hz.get(name)
         return None if hz is None else 1.0 / hz
 

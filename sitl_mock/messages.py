@@ -56,7 +56,7 @@ class Landed(IntEnum):
     LANDING = 4
 
 
-class StatusText(IntEnum):
+class SystemStatus(IntEnum):
     """MAV_STATE, as far as the vehicles use it."""
 
     UNINIT = 0
@@ -69,9 +69,6 @@ class StatusText(IntEnum):
 class Severity(IntEnum):
     """MAV_SEVERITY, as far as the vehicles use it."""
 
-    EMERGENCY = 0
     CRITICAL = 2
-    ERROR = 3
     WARNING = 4
-    NOTICE = 5
     INFO = 6

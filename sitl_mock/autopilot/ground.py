@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from sitl_mock.autopilot.autopilot import Autopilot
-from sitl_mock.autopilot.profiles import Behaviour, ModeEvent
+from sitl_mock.autopilot.profile import Behaviour, ModeEvent
 from sitl_mock.messages import Landed, Severity
 from sitl_mock.physics.reference import ALL, Reference
 
-LIFT_M = 0.15  # a setpoint this much above the vehicle lifts PX4 off
+LIFT_M = 0.15  # a setpoint this much above the vehicle asks to leave the ground
 LIFT_M_S = 0.1  # and so does an upward velocity
-LANDED_DISARM_S = 0.5  # ArduPilot disarms this long after it reported ON_GROUND in LAND and RTL
 
 
 class GroundWatch:
@@ -24,25 +23,25 @@ class GroundWatch:
         self._contact_since_s: float | None = None
 
     def watch(self) -> None:
-        """Look once (50 Hz)."""
+        """Compare the vehicle with the ground once (50 Hz)."""
         vehicle = self._vehicle
         if not vehicle.armed:
             return
         if not vehicle.airborne:
             self._lift()
-        elif vehicle.behaviour is Behaviour.TAKEOFF and vehicle.pilot.reached(vehicle.body):
+        elif vehicle.behaviour is Behaviour.TAKEOFF and vehicle.guidance.reached(vehicle.body):
             self._level_off()
         if vehicle.airborne:
             self._touch_down()
         if not vehicle.airborne and vehicle.landed is Landed.ON_GROUND:
             self._disarm()
 
-    def _wants_up(self) -> bool:
+    def _asked_to_climb(self) -> bool:
         """Whether what is asked leads off the ground."""
         vehicle = self._vehicle
         if vehicle.behaviour is Behaviour.TAKEOFF:
             return True
-        setpoint = vehicle.pilot.setpoint
+        setpoint = vehicle.guidance.setpoint
         if vehicle.behaviour is not Behaviour.FOLLOW or setpoint is None:
             return False
         above_m = vehicle.body.position_m[2] - setpoint.position_ned_m[2]
@@ -51,20 +50,19 @@ class GroundWatch:
         )
 
     def _lift(self) -> None:
-        """Leave the ground some seconds after it was first wanted, as spooling and ramps make the real ones do."""
+        """Leave the ground some seconds after it was first asked for, as spooling and ramps make the real ones do."""
         vehicle, profile = self._vehicle, self._vehicle.profile
         takeoff = vehicle.behaviour is Behaviour.TAKEOFF
-        if not self._wants_up() or not (takeoff or profile.setpoints_lift_off):
+        if not self._asked_to_climb() or not (takeoff or profile.setpoints_lift_off):
             vehicle.climb_since_s = None
             return
         if vehicle.climb_since_s is None:
-            vehicle.climb_since_s = max(vehicle.body.time_s, vehicle.armed_at_s + profile.spool_s)
+            vehicle.climb_since_s = max(vehicle.body.time_s, vehicle.armed_at_s + profile.ground.spool_s)
         waited_s = vehicle.body.time_s - vehicle.climb_since_s
-        if takeoff and waited_s >= profile.takeoff_state_s and vehicle.landed is Landed.ON_GROUND:
+        if takeoff and waited_s >= profile.ground.takeoff_state_s and vehicle.landed is Landed.ON_GROUND:
             vehicle.landed = Landed.TAKEOFF
-            if profile.is_px4:
-                vehicle.say("Takeoff detected", Severity.INFO)
-        if waited_s >= (profile.liftoff_s if takeoff else profile.liftoff_stream_s):
+            vehicle.send_text(profile.texts.takeoff_detected, Severity.INFO)
+        if waited_s >= (profile.ground.liftoff_s if takeoff else profile.ground.liftoff_stream_s):
             vehicle.airborne = True
             vehicle.landed = Landed.TAKEOFF if takeoff else Landed.IN_AIR
             self._contact_since_s = None
@@ -78,42 +76,38 @@ class GroundWatch:
             return
         vehicle.climbing = False
         north_m, east_m, _ = vehicle.reference.position_ned_m
-        place = (north_m, east_m, -vehicle.pilot.takeoff_height_m)
-        vehicle.pilot.setpoint = Reference(place, position_used=ALL, yaw_rad=vehicle.body.yaw_rad)
+        place = (north_m, east_m, -vehicle.guidance.takeoff_height_m)
+        vehicle.guidance.setpoint = Reference(place, position_used=ALL, yaw_rad=vehicle.body.yaw_rad)
 
     def _touch_down(self) -> None:
         """On the ground long enough while not asked to climb: landed."""
-        vehicle = self._vehicle
-        px4, now_s = vehicle.profile.is_px4, vehicle.body.time_s
-        if vehicle.mode.behaviour is Behaviour.RETURN and vehicle.pilot.descending:
+        vehicle, profile, now_s = self._vehicle, self._vehicle.profile, self._vehicle.body.time_s
+        if vehicle.mode.behaviour is Behaviour.RETURN and vehicle.guidance.descending:
             vehicle.landed = Landed.LANDING
-        # PX4 does not take a position setpoint below the ground for a landing: it sits there armed.
-        sitting = px4 and vehicle.behaviour is Behaviour.FOLLOW and not vehicle.reference.velocity_used[2]
-        if not vehicle.body.contact or self._wants_up() or sitting:
+        positioned = vehicle.behaviour is Behaviour.FOLLOW and not vehicle.reference.velocity_used[2]
+        sitting = positioned and not profile.position_setpoints_land
+        if not vehicle.body.contact or self._asked_to_climb() or sitting:
             self._contact_since_s = None
             return
         if self._contact_since_s is None:
             self._contact_since_s = now_s
-        if now_s - self._contact_since_s >= vehicle.profile.ground_detect_s:
+        if now_s - self._contact_since_s >= profile.ground.detection_s:
             vehicle.airborne = False
             vehicle.landed = Landed.ON_GROUND
             vehicle.landed_at_s = now_s
-            if px4:
-                vehicle.say("Landing detected", Severity.INFO)
+            vehicle.send_text(profile.texts.landing_detected, Severity.INFO)
 
     def _disarm(self) -> None:
         """After a landing, or armed for too long without a take-off."""
-        vehicle, value = self._vehicle, self._vehicle.parameters
-        px4, now_s, landed_at_s = vehicle.profile.is_px4, vehicle.body.time_s, vehicle.landed_at_s
-        ending = px4 or vehicle.mode.behaviour in (Behaviour.LAND, Behaviour.RETURN)
-        if landed_at_s is not None and ending:
-            delay_s = value["COM_DISARM_LAND"] if px4 else LANDED_DISARM_S
+        vehicle, now_s, landed_at_s = self._vehicle, self._vehicle.body.time_s, self._vehicle.landed_at_s
+        delay_s = vehicle.rules.landed_disarm_s(vehicle)
+        if landed_at_s is not None and delay_s is not None:
             if delay_s > 0.0 and now_s - landed_at_s >= delay_s:
                 vehicle.disarm("landing")
             return
-        idle_s = value["COM_DISARM_PRFLT" if px4 else "DISARM_DELAY"]
+        idle_s = vehicle.parameters[vehicle.profile.idle_disarm_parameter]
         since_s = vehicle.armed_at_s if landed_at_s is None else landed_at_s
-        # A wish to climb that is being served is not idling.
-        idle = vehicle.climb_since_s is None and now_s - since_s >= idle_s + vehicle.profile.idle_extra_s
-        if idle_s > 0.0 and idle:
+        # A request to climb that is being served is not idling.
+        waited = now_s - since_s >= idle_s + vehicle.profile.ground.idle_extra_s
+        if idle_s > 0.0 and vehicle.climb_since_s is None and waited:
             vehicle.disarm("idle")

@@ -5,20 +5,33 @@ from __future__ import annotations
 import math
 import struct
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from sitl_mock.autopilot.profiles import AutopilotProfile
+from sitl_mock.autopilot.profile import AutopilotProfile, ParameterDefault
 from sitl_mock.messages import Fields
 
 TYPE_IDS = MappingProxyType({"INT8": 2, "INT16": 4, "INT32": 6, "REAL32": 9})  # MAV_PARAM_TYPE
 RANGES = MappingProxyType({"INT8": (-128, 127), "INT16": (-32768, 32767), "INT32": (-(2**31), 2**31 - 1)})
 UNINDEXED = 65535  # param_index of an answer that belongs to no list
+LEAST = 0.05  # [m/s or m/s^2] a speed or acceleration of zero would freeze a vehicle in the air
 # PARAM_ERROR.error as PX4 sends it
-ERROR_NAME, ERROR_TYPE_UNSUPPORTED, ERROR_TYPE_MISMATCH = 1, 6, 7
+ERROR_NAME, ERROR_TYPE_UNSUPPORTED, ERROR_TYPE_MISMATCH, ERROR_VALUE = 1, 6, 7, 3
+
+
+class WriteRefused(Exception):
+    """A PARAM_SET that changes nothing.
+
+    Args:
+        error: PARAM_ERROR.error, for autopilots that answer.
+    """
+
+    def __init__(self, error: int) -> None:
+        self.error = error
+        super().__init__(f"the parameter is refused with error {error}")
 
 
 @dataclass(slots=True)
@@ -30,32 +43,21 @@ class Parameter:
     default: float
 
 
-class WriteRefused(Exception):
-    """A PARAM_SET that is answered with PARAM_ERROR (PX4) or not at all (ArduPilot).
-
-    Args:
-        error: PARAM_ERROR.error, or None for silence.
-    """
-
-    def __init__(self, error: int | None) -> None:
-        self.error = error
-        super().__init__(f"parameter refused with {error}")
-
-
 class Parameters:
     """All parameters of one vehicle, in the order of their names.
 
     Args:
         profile: whose parameters, and how they are encoded.
-        system_id: value of MAV_SYS_ID or MAV_SYSID.
+        system_id: value of the profile's `system_id_parameter`.
     """
 
     def __init__(self, profile: AutopilotProfile, system_id: int) -> None:
         self._bytewise = profile.parameters_bytewise
-        self._table = dict(sorted(_defaults(profile.name)))
+        rows = sorted(profile.parameters.items())
+        self._table = {name: Parameter(default.type, default.value, default.value) for name, default in rows}
         self._names = list(self._table)
-        own = "MAV_SYS_ID" if "MAV_SYS_ID" in self._table else "MAV_SYSID"
-        self._table[own].value = self._table[own].default = float(system_id)
+        own = self._table[profile.system_id_parameter]
+        own.value = own.default = float(system_id)
 
     def __len__(self) -> int:
         return len(self._names)
@@ -78,7 +80,7 @@ class Parameters:
 
     def positive(self, name: str, scale: float = 1.0) -> float:
         """A speed or acceleration times `scale`, at least 0.05: zero would freeze a vehicle in the air."""
-        return max(self[name] * scale, 0.05)
+        return max(self[name] * scale, LEAST)
 
     def message(self, name: str, indexed: bool) -> Fields:
         """PARAM_VALUE of one parameter; `indexed` when it answers a list or an index."""
@@ -101,24 +103,40 @@ class Parameters:
             Whether the value changed.
 
         Raises:
-            WriteRefused: unknown name, wrong type, or (ArduPilot) NaN.
+            WriteRefused: unknown name, wrong type (bytewise), or NaN (cast).
         """
         if self._bytewise and type_id not in (TYPE_IDS["INT32"], TYPE_IDS["REAL32"]):
             raise WriteRefused(ERROR_TYPE_UNSUPPORTED)
         parameter = self._table.get(name)
         if parameter is None:
-            raise WriteRefused(ERROR_NAME if self._bytewise else None)
+            raise WriteRefused(ERROR_NAME)
         if self._bytewise:
             if type_id != TYPE_IDS[parameter.type]:
                 raise WriteRefused(ERROR_TYPE_MISMATCH)
             new = value if parameter.type == "REAL32" else float(_bits(value))
         else:
             if math.isnan(value):
-                raise WriteRefused(None)
+                raise WriteRefused(ERROR_VALUE)
             new = value if parameter.type == "REAL32" else _clipped(value, parameter.type)
         changed = new != parameter.value
         parameter.value = new
         return changed
+
+
+def read_defaults(path: Path) -> Mapping[str, ParameterDefault]:
+    """Read a profile's parameters: name = integer (INT32) or float (REAL32), or { type, value }.
+
+    Raises:
+        OSError, tomllib.TOMLDecodeError: the file cannot be read, or holds no TOML.
+    """
+    table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    return MappingProxyType({name: _default(entry) for name, entry in table.items()})
+
+
+def _default(entry: Any) -> ParameterDefault:  # noqa: ANN401  # a value of the TOML file
+    if isinstance(entry, dict):
+        return ParameterDefault(str(entry["type"]), float(entry["value"]))
+    return ParameterDefault("INT32" if isinstance(entry, int) else "REAL32", float(entry))
 
 
 def _bits(value: float) -> int:
@@ -129,14 +147,3 @@ def _bits(value: float) -> int:
 def _clipped(value: float, type_name: str) -> float:
     low, high = RANGES[type_name]
     return float(math.trunc(min(max(value, low), high)))
-
-
-def _defaults(name: str) -> Iterator[tuple[str, Parameter]]:
-    text = resources.files("sitl_mock.autopilot").joinpath(f"parameters_{name}.toml").read_text(encoding="utf-8")
-    table: dict[str, Any] = tomllib.loads(text)
-    for key, entry in table.items():
-        if isinstance(entry, dict):
-            value, type_name = float(entry["value"]), str(entry["type"])
-        else:
-            value, type_name = float(entry), "INT32" if isinstance(entry, int) else "REAL32"
-        yield key, Parameter(type_name, value, value)

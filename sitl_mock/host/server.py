@@ -1,7 +1,8 @@
 """The simulator on UDP: every vehicle with its own socket per remote, one clock, no threads.
 
-Uses nothing of the event loop but `time`, `call_at` and `create_datagram_endpoint`, so that it runs unchanged on a
-loop whose time is virtual: the same seed and the same datagrams then give the same bytes.
+Its clock is that of the event loop it is started on. It uses nothing of that loop but `time`, `call_at` and
+`create_datagram_endpoint`, so that it runs unchanged on any asyncio loop, and on one whose time is virtual: the same
+seed and the same datagrams then give the same bytes.
 """
 
 from __future__ import annotations
@@ -9,76 +10,62 @@ from __future__ import annotations
 import asyncio
 import math
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl_mock.host.fleet import Fleet, FleetOptions, Sent
+from sitl_mock.host.fleet import Fleet, FleetOptions, Sent, check_system_ids
 from sitl_mock.host.targets import TargetOptions, Targets
 from sitl_mock.physics.particles import enu_from_ned
 
-HOST = "127.0.0.1"  # simulated vehicles are nobody's business outside this machine
+HOST = "127.0.0.1"  # simulated vehicles stay on this machine
 REMOTE_PORT_STEP = 3990  # PX4's first links are at 18570 + k and 14580 + k
 Address = tuple[str, int]
 
 
 class PortUnavailable(Exception):
-    """A local port cannot be had.
+    """A local port cannot be bound.
 
     Args:
-        port: which.
-        reason: what the system said.
+        port: its number.
+        reason: what the system says.
     """
 
     def __init__(self, port: int, reason: str) -> None:
         self.port = port
-        super().__init__(f"port {port} on {HOST} cannot be used: {reason}; give another --port-base (0: any free)")
+        super().__init__(
+            f"port {port} on {HOST} cannot be used: {reason}; choose another port base (0: any free ports)"
+        )
 
 
 @dataclass(frozen=True)
-class SimulatorOptions:
-    """What to simulate and where to send it.
+class SimulatorOptions(FleetOptions):
+    """What to simulate, and where to send it.
 
     Attributes:
-        autopilot: "px4" or "ardupilot".
-        pads_enu_m: east, north of each vehicle's pad from the origin [m]; its length is the number of vehicles.
-        system_ids: one per pad, 1 ... 255.
         remotes: where telemetry goes; each is a link of its own.
-        port_base: vehicle k listens on port_base + k for the first remote, 3990 lower for each further; 0: any.
-        origin_deg_m: latitude, longitude [deg], altitude [m] of the world's origin.
-        seed: of everything random.
+        port_base: vehicle k listens on port_base + k for the first remote, 3990 lower for each further; 0: any free
+            ports.
         speed: simulated seconds per second of the event loop.
-        real_boot: boot as slowly as the real autopilots.
-        wind_m_s: mean wind [m/s].
         targets: vehicles to be followed; their ports come after those of the vehicles.
+
+    Raises:
+        ValueError: options that contradict each other or mean nothing; one line that says which.
     """
 
-    autopilot: str = "px4"
-    pads_enu_m: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
-    system_ids: tuple[int, ...] = (1,)
     remotes: tuple[Address, ...] = ((HOST, 14550),)
     port_base: int = 0
-    origin_deg_m: tuple[float, float, float] = (47.397742, 8.545594, 488.0)
-    seed: int = 0
     speed: float = 1.0
-    real_boot: bool = False
-    wind_m_s: float = 0.0
     targets: tuple[TargetOptions, ...] = ()
 
-    @property
-    def fleet(self) -> FleetOptions:
-        """The part that has nothing to do with sockets."""
-        return FleetOptions(
-            self.autopilot,
-            self.pads_enu_m,
-            self.system_ids,
-            len(self.remotes),
-            self.origin_deg_m,
-            self.seed,
-            self.real_boot,
-            self.wind_m_s,
-        )
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_system_ids((*self.system_ids, *(target.system_id for target in self.targets)))
+        if not self.speed > 0.0:
+            raise ValueError(f"the speed must be greater than 0: {self.speed:g}")
+        if not self.remotes:
+            raise ValueError("there must be at least one remote")
 
     def local_port(self, vehicle: int, link: int) -> int:
         """The port that a vehicle binds for a remote; 0 lets the system choose."""
@@ -89,9 +76,9 @@ class SimulatorOptions:
 class Counters:
     """What went wrong so far, over all vehicles."""
 
-    bad_bytes: int  # from outside, in no good frame
-    dropped: int  # datagrams from senders that an ArduPilot vehicle does not listen to
-    unsendable: int  # messages whose numbers did not fit
+    bad_bytes: int  # received in no valid frame
+    dropped: int  # datagrams from senders that a vehicle does not listen to
+    unsendable: int  # messages whose numbers did not fit their fields
     send_errors: int  # reported by the system
     slipped_s: float  # simulated time that never happened, because stalls were too long to make up
 
@@ -103,7 +90,7 @@ class _Port(asyncio.DatagramProtocol):
         self._simulator = simulator
         self._vehicle, self._link = vehicle, link
         self._partner = remote
-        self._sticky = sticky  # PX4: the first sender becomes the partner for good
+        self._sticky = sticky  # the first sender becomes the partner for good; else only the remote is listened to
         self._met = False
         self._transport: asyncio.DatagramTransport | None = None
         self.dropped = 0
@@ -118,9 +105,9 @@ class _Port(asyncio.DatagramProtocol):
         if self._sticky and not self._met:
             self._partner, self._met = sender, True
         if not self._sticky and sender != self._partner:
-            self.dropped += 1  # ArduPilot's socket is connected to its remote
+            self.dropped += 1
             return
-        self._simulator.heard(self._vehicle, self._link, data)
+        self._simulator.receive(self._vehicle, self._link, data)
 
     def error_received(self, exc: Exception) -> None:
         self.errors += 1
@@ -139,7 +126,12 @@ class _Port(asyncio.DatagramProtocol):
 
 
 class Simulator:
-    """The vehicles on their sockets.
+    """Simulated vehicles on sockets of their own, beside whatever else runs on the event loop.
+
+        async with Simulator(SimulatorOptions(pads_enu_m=grid(10))) as simulator:
+            ...  # ten vehicles talk to 127.0.0.1:14550, and listen on simulator.ports
+
+    It can be started once, by `async with` or by `start` and `close`. True states can be read at any time.
 
     Args:
         options: what to simulate.
@@ -147,37 +139,53 @@ class Simulator:
 
     def __init__(self, options: SimulatorOptions) -> None:
         self.options = options
-        self.fleet = Fleet(options.fleet)
+        self.fleet = Fleet(options, len(options.remotes))
         self.targets = Targets(options.targets, len(options.remotes), options.origin_deg_m)
         self._ports: list[list[_Port]] = []  # [vehicle, then target][link]
-        self._loop: asyncio.AbstractEventLoop | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None  # the clock, once time runs
         self._timer: asyncio.TimerHandle | None = None
         self._start_s = 0.0  # loop time
         self._slipped_s = 0.0  # simulated time
 
-    async def start(self) -> None:
-        """Bind every socket and let time run.
+    async def __aenter__(self) -> Self:
+        """Start.
 
         Raises:
             PortUnavailable: a port is taken; nothing is left open.
         """
-        self._loop = asyncio.get_running_loop()
-        sticky = self.options.autopilot == "px4"
+        await self.start()
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        """Close."""
+        await self.close()
+
+    async def start(self) -> None:
+        """Bind every socket and let time run, by the clock of the running event loop.
+
+        Raises:
+            PortUnavailable: a port is taken; nothing is left open.
+            RuntimeError: it was started before.
+        """
+        if self._ports:
+            raise RuntimeError("a simulator can be started only once")
+        loop = asyncio.get_running_loop()
+        sticky = self.fleet.profile.first_sender_is_partner
         try:
             for vehicle in range(len(self.options.system_ids) + len(self.options.targets)):
                 self._ports.append([])
                 for link, remote in enumerate(self.options.remotes):
                     port = _Port(self, vehicle, link, remote, sticky)
-                    await self._bind(port, self.options.local_port(vehicle, link))
+                    await _bind(loop, port, self.options.local_port(vehicle, link))
                     self._ports[vehicle].append(port)
         except PortUnavailable:
             await self.close()
             raise
-        self._start_s = self._loop.time()
-        self._plan_tick()
+        self._loop, self._start_s = loop, loop.time()
+        self._schedule_tick()
 
     async def close(self) -> None:
-        """Stop time and close every socket."""
+        """Stop time and close every socket; once is enough, more do no harm."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -186,8 +194,8 @@ class Simulator:
                 port.close()
         await asyncio.sleep(0)  # transports close at the next turn of the loop
 
-    def heard(self, vehicle: int, link: int, data: bytes) -> None:
-        """A datagram arrived; answer it at once, at the present simulated time. Targets listen to nobody."""
+    def receive(self, vehicle: int, link: int, data: bytes) -> None:
+        """Answer a datagram at once, at the present simulated time. Targets ignore what they receive."""
         now_s = self._advance()
         if vehicle < len(self.fleet.vehicles):
             self._send(self.fleet.receive(vehicle, link, data, now_s))
@@ -231,15 +239,6 @@ class Simulator:
             slipped_s=self._slipped_s,
         )
 
-    async def _bind(self, port: _Port, number: int) -> None:
-        assert self._loop is not None
-        try:
-            await self._loop.create_datagram_endpoint(lambda: port, local_addr=(HOST, number))
-        except OSError as error:
-            raise PortUnavailable(number, error.strerror or str(error)) from error
-        except OverflowError as error:
-            raise PortUnavailable(number, "no such port") from error
-
     def _advance(self) -> float:
         """Bring the fleet to the present; give its time."""
         now_s = self._now_s()
@@ -252,17 +251,18 @@ class Simulator:
 
     def _now_s(self) -> float:
         """Simulated time, also before the start."""
-        now_s = self._start_s if self._loop is None else self._loop.time()
-        return (now_s - self._start_s) * self.options.speed - self._slipped_s
+        if self._loop is None:
+            return 0.0
+        return (self._loop.time() - self._start_s) * self.options.speed - self._slipped_s
 
     def _tick(self) -> None:
         now_s = self._advance()
         self._send(self.fleet.telemetry(now_s))
         first = len(self.fleet.vehicles)
         self._send([Sent(first + row, link, data) for row, link, data in self.targets.telemetry(now_s)])
-        self._plan_tick()
+        self._schedule_tick()
 
-    def _plan_tick(self) -> None:
+    def _schedule_tick(self) -> None:
         """The next tick at an absolute deadline: late ticks are left out, never queued."""
         assert self._loop is not None
         period_s = self.fleet.physics.time.tick_s / self.options.speed
@@ -272,3 +272,17 @@ class Simulator:
     def _send(self, sent: list[Sent]) -> None:
         for vehicle, link, data in sent:
             self._ports[vehicle][link].send(data)
+
+
+async def _bind(loop: asyncio.AbstractEventLoop, port: _Port, number: int) -> None:
+    """Give a port its socket.
+
+    Raises:
+        PortUnavailable: the system refuses.
+    """
+    try:
+        await loop.create_datagram_endpoint(lambda: port, local_addr=(HOST, number))
+    except OSError as error:
+        raise PortUnavailable(number, error.strerror or str(error)) from error
+    except OverflowError as error:
+        raise PortUnavailable(number, "there is no such port") from error

@@ -1,4 +1,4 @@
-"""One run of the simulator as a process: start, say so, wait for the end, stop."""
+"""The simulator as a process: start, say so, wait for the end, close."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import signal
 import stat
 import sys
-from dataclasses import asdict
 
 from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
 
@@ -29,22 +28,18 @@ async def _simulate(options: SimulatorOptions, with_parent: bool) -> int:
     ended = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    simulator = Simulator(options)
     try:
-        await simulator.start()
+        async with Simulator(options) as simulator:
+            watcher = asyncio.create_task(_watch_parent(ended)) if with_parent else None
+            sys.stdout.write(ready_line(simulator) + "\n")
+            sys.stdout.flush()
+            await ended.wait()
+            if watcher is not None:
+                watcher.cancel()
     except PortUnavailable as error:
         sys.stderr.write(f"sitl_mock: {error}\n")
         return PORT_UNAVAILABLE
-    watcher = asyncio.create_task(_watch_parent(ended)) if with_parent else None
-    try:
-        sys.stdout.write(ready_line(simulator) + "\n")
-        sys.stdout.flush()
-        await ended.wait()
-    finally:
-        if watcher is not None:
-            watcher.cancel()
-        await simulator.close()
-        sys.stderr.write(closing_line(simulator.counters))
+    sys.stderr.write(closing_line(simulator.counters))
     return 0
 
 
@@ -58,12 +53,19 @@ def ready_line(simulator: Simulator) -> str:
 
 def closing_line(counters: Counters) -> str:
     """What went wrong on the way, for people; empty when nothing did."""
-    found = [f"{name}={value:g}" for name, value in asdict(counters).items() if value]
-    return f"sitl_mock: dropped or late: {' '.join(found)}\n" if found else ""
+    found = [
+        (counters.bad_bytes, "bytes received in no valid frame"),
+        (counters.dropped, "datagrams from unknown senders ignored"),
+        (counters.unsendable, "messages not sent because a number did not fit"),
+        (counters.send_errors, "errors while sending"),
+        (round(counters.slipped_s, 3), "s of simulated time skipped, the machine being too slow"),
+    ]
+    lines = [f"{number:g} {what}" for number, what in found if number]
+    return f"sitl_mock: {'; '.join(lines)}\n" if lines else ""
 
 
 async def _watch_parent(ended: asyncio.Event) -> None:
-    """Set `ended` when standard input reaches its end: the parent is gone, or wants us gone."""
+    """Set `ended` when standard input reaches its end: the parent has ended, or wants this process to end."""
     if not (sys.stdin.isatty() or stat.S_ISFIFO(mode := os.fstat(sys.stdin.fileno()).st_mode) or stat.S_ISSOCK(mode)):
         ended.set()  # a file or /dev/null: no parent is at the other end, and it cannot be waited for
         return

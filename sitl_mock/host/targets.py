@@ -1,4 +1,4 @@
-"""Vehicles to be followed: each moves exactly as prescribed, says where it is, and listens to nobody."""
+"""Vehicles to be followed: each moves exactly as prescribed, sends where it is, and ignores what it receives."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from sitl_mock.links import Link
-from sitl_mock.messages import Fields, StatusText
+from sitl_mock.messages import Fields, SystemStatus
 from sitl_mock.physics import courses
 from sitl_mock.physics.geodesy import Geodetic, World
 from sitl_mock.protocol.codec import Codec
 
 DEFAULT_HZ = 10.0  # as PX4 and ArduPilot send their global position unasked, in round numbers
-MOST_HZ = 100.0  # the server looks at its streams as often
+MOST_HZ = 100.0  # the server sends streams no faster
 GROUND_ROVER = 10  # MAV_TYPE
 GENERIC = 0  # MAV_AUTOPILOT: none in particular
 ARMED_BIT = 128
@@ -44,7 +44,7 @@ class TargetOptions:
         """Return its motion.
 
         Raises:
-            ValueError: the motion is none.
+            ValueError: there is no such motion; says why.
         """
         return courses.checked(self.kind, self.keys)
 
@@ -86,7 +86,7 @@ class Targets:
     """All vehicles to be followed, on one clock.
 
     Args:
-        options: who they are.
+        options: of each.
         links: remotes of each.
         origin_deg_m: latitude, longitude, altitude of the world's origin (WGS84).
     """
@@ -153,7 +153,7 @@ _HEARTBEAT: Fields = {
     "autopilot": GENERIC,
     "base_mode": ARMED_BIT,
     "custom_mode": 0,
-    "system_status": int(StatusText.ACTIVE),
+    "system_status": int(SystemStatus.ACTIVE),
     "mavlink_version": 3,
 }
 

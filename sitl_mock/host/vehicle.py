@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from sitl_mock.autopilot.autopilot import Autopilot
-from sitl_mock.autopilot.failsafes import Failsafes
 from sitl_mock.autopilot.ground import GroundWatch
-from sitl_mock.autopilot.pilot import Body
+from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.messages import Outgoing
 from sitl_mock.protocol import services
 from sitl_mock.protocol.codec import Codec
-from sitl_mock.protocol.telemetry import fields_of
+from sitl_mock.protocol.dialect import Dialect
 
 
 class Datagram(NamedTuple):
@@ -26,15 +25,16 @@ class Vehicle:
 
     Args:
         autopilot: the decisions.
+        dialect: how it speaks.
     """
 
-    def __init__(self, autopilot: Autopilot) -> None:
+    def __init__(self, autopilot: Autopilot, dialect: Dialect) -> None:
         self.autopilot = autopilot
-        self._failsafes = Failsafes(autopilot)
+        self._dialect = dialect
         self._ground = GroundWatch(autopilot)
         self.codecs = [Codec() for _ in autopilot.links]
 
-    def receive(self, link: int, data: bytes, body: Body) -> list[Datagram]:
+    def receive(self, link: int, data: bytes, body: BodyState) -> list[Datagram]:
         """Act on one datagram. Never raises, whatever the bytes are.
 
         Args:
@@ -46,13 +46,14 @@ class Vehicle:
             The answers.
         """
         for message in self.codecs[link].decode(data):
-            services.hear(self.autopilot, message, link, body.time_s)
+            self._dialect.receive(self.autopilot, message, link, body.time_s)
         return self._drain(body)
 
-    def update(self, body: Body) -> list[Datagram]:
+    def update(self, body: BodyState) -> list[Datagram]:
         """Run the logic once (50 Hz); what it says is returned."""
         self.autopilot.enter(body)
-        self._failsafes.watch()
+        if self.autopilot.armed:
+            self.autopilot.rules.watch_failsafes(self.autopilot)
         self._ground.watch()
         self.autopilot.steer()
         services.continue_lists(self.autopilot)
@@ -62,20 +63,20 @@ class Vehicle:
         """Link and message of every stream that is due."""
         return [(k, name) for k, link in enumerate(self.autopilot.links) for name in link.due(now_s)]
 
-    def pack(self, due: list[tuple[int, str]], body: Body) -> list[Datagram]:
+    def pack(self, due: list[tuple[int, str]], body: BodyState) -> list[Datagram]:
         """Datagrams of due streams; what cannot be sent now is left out."""
         return [d for link, name in due for d in self._datagrams(Outgoing(name, None, link), body)]
 
-    def _drain(self, body: Body) -> list[Datagram]:
+    def _drain(self, body: BodyState) -> list[Datagram]:
         if not self.autopilot.outbox:
             return []
         outbox, self.autopilot.outbox = self.autopilot.outbox, []
         return [d for message in outbox for d in self._datagrams(message, body)]
 
-    def _datagrams(self, message: Outgoing, body: Body) -> list[Datagram]:
+    def _datagrams(self, message: Outgoing, body: BodyState) -> list[Datagram]:
         fields = message.fields
         if fields is None:
-            fields = fields_of(message.name, self.autopilot, body)
+            fields = self._dialect.fields_of(message.name, self.autopilot, body)
             if fields is None:
                 return []
         links = range(len(self.codecs)) if message.link is None else (message.link,)

@@ -68,10 +68,10 @@ def waypoints(
     """
     points = [_ned(point) for point in points_enu_m]
     if len(points) < (3 if closed else 2):
-        raise ValueError("waypoints: at least two points, three if closed")
+        raise ValueError("waypoints: there must be at least two points, three if closed")
     legs = list(zip(points, points[1:] + points[:1], strict=True))[: None if closed else -1]
     if any(begin == end for begin, end in legs):
-        raise ValueError("waypoints: two neighbouring points in one place")
+        raise ValueError("waypoints: two neighbouring points are in one place")
     speeds = [_scaled(_minus(end, begin), speed_m_s / math.dist(begin, end)) for begin, end in legs]
     rest = (0.0, 0.0, 0.0)
     turns = list(zip([speeds[-1] if closed else rest, *speeds], [*speeds, speeds[0] if closed else rest], strict=True))
@@ -135,10 +135,10 @@ def checked(kind: str, keys: Mapping[str, Any]) -> Course:
     """Return the course of a kind from keys that came from outside.
 
     Raises:
-        ValueError: an unknown kind or key, a key missing, or a value that is none; says which.
+        ValueError: an unknown kind or key, a missing key, or a value that cannot be flown; says which.
     """
     if kind not in COURSES:
-        raise ValueError(f"kind {kind!r} is none of: {', '.join(COURSES)}")
+        raise ValueError(f"kind {kind!r} is not one of: {', '.join(COURSES)}")
     for key, value in keys.items():
         _check(key, value)
     try:

@@ -19,7 +19,7 @@ SYSTEM, COMPONENT = 255, 190
 USE_ALL, USE_POSITION, USE_VELOCITY = 0x800, 0x9F8, 0x9C7  # type masks; yaw used, yaw rate not
 USE_POSITION_VELOCITY = 0x9C0
 SET_MODE, ARM, TAKEOFF, LAND, SET_INTERVAL, REQUEST = 176, 400, 22, 21, 511, 512
-OFFBOARD, POSCTL, LOITER, PX4_LAND, PX4_RTL = 0x00060000, 0x00030000, 0x03040000, 0x06040000, 0x05040000
+OFFBOARD, LOITER, PX4_LAND, PX4_RTL = 0x00060000, 0x03040000, 0x06040000, 0x05040000
 GUIDED, AP_RTL, AP_LAND, BRAKE = 4, 6, 9, 17
 Vec3 = Sequence[float] | NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Station:
     ) -> None:
         pads = tuple((3.0 * k, 0.0) for k in range(vehicles))
         ids = tuple(range(1, vehicles + 1))
-        self.fleet = Fleet(FleetOptions(autopilot, pads, ids, links, seed=seed, real_boot=real_boot, wind_m_s=wind_m_s))
+        self.fleet = Fleet(FleetOptions(autopilot, pads, ids, seed=seed, real_boot=real_boot, wind_m_s=wind_m_s), links)
         self.px4 = autopilot == "px4"
         self.tick = 0
         self.heard: list[tuple[float, int, int, Any]] = []  # time, vehicle, link, message

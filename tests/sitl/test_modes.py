@@ -6,8 +6,9 @@ import struct
 
 import pytest
 
-from sitl_mock.autopilot.profiles import MANNERS, Behaviour, ModeEvent, Need
-from sitl_mock.messages import Landed, StatusText
+from sitl_mock import profiles
+from sitl_mock.autopilot.profile import Behaviour, ModeEvent, Need
+from sitl_mock.messages import Landed, SystemStatus
 from sitl_mock.physics.reference import Thrust
 from tests.sitl.driver import (
     AP_LAND,
@@ -28,7 +29,8 @@ from tests.sitl.driver import (
 )
 
 PLACE = (0.0, 0.0, -5.0)
-PAIRS = [(name, mode.name, event) for name, m in MANNERS.items() for mode in m.modes for event in ModeEvent]
+MODES = {name: profiles.strategy(name).rules.profile.modes for name in profiles.names()}
+PAIRS = [(name, mode.name, event) for name, modes in MODES.items() for mode in modes for event in ModeEvent]
 # What leaves a mode, written out once more; whatever is not here leaves the mode as it is.
 EXPECTED = {
     ("px4", "TAKEOFF", ModeEvent.CLIMBED): "LOITER",
@@ -37,10 +39,10 @@ EXPECTED = {
     ("px4", "PRECLAND", ModeEvent.DISARMED): "LOITER",
     ("px4", "RTL", ModeEvent.DISARMED): "LOITER",
     ("px4", "OFFBOARD", ModeEvent.STREAM_LOST): "LAND",
-    **{("px4", mode.name, ModeEvent.GCS_LOST): "LOITER" for mode in MANNERS["px4"].modes},
-    **{("px4", mode.name, ModeEvent.FAILSAFE_DELAY_OVER): "RTL" for mode in MANNERS["px4"].modes},
-    **{("ardupilot", mode.name, ModeEvent.GCS_LOST): "LAND" for mode in MANNERS["ardupilot"].modes},
-    **{("ardupilot", mode.name, ModeEvent.FAILSAFE_DELAY_OVER): "LAND" for mode in MANNERS["ardupilot"].modes},
+    **{("px4", mode.name, ModeEvent.GCS_LOST): "LOITER" for mode in MODES["px4"]},
+    **{("px4", mode.name, ModeEvent.FAILSAFE_DELAY_OVER): "RTL" for mode in MODES["px4"]},
+    **{("ardupilot", mode.name, ModeEvent.GCS_LOST): "LAND" for mode in MODES["ardupilot"]},
+    **{("ardupilot", mode.name, ModeEvent.FAILSAFE_DELAY_OVER): "LAND" for mode in MODES["ardupilot"]},
 }
 
 
@@ -54,7 +56,7 @@ def flying_in(autopilot: str, mode: str) -> Station:
     vehicle = station.pilot
     station.command(ARM, 1, 2989)
     vehicle.airborne = True
-    vehicle.pilot.takeoff_height_m = 1000.0  # not reached by itself
+    vehicle.guidance.takeoff_height_m = 1000.0  # not reached by itself
     station.fleet.swarm.position_m[0, 2] = -200.0
     if station.px4:
         station.parameter("NAV_DLL_ACT", _bytewise(2), 6)
@@ -83,7 +85,7 @@ def happen(station: Station, event: ModeEvent) -> None:
     station.heartbeats = event not in (ModeEvent.GCS_LOST, ModeEvent.FAILSAFE_DELAY_OVER)
     keep = vehicle.mode.behaviour is Behaviour.FOLLOW and event is not ModeEvent.STREAM_LOST
     if event is ModeEvent.CLIMBED:
-        vehicle.pilot.takeoff_height_m = 100.0
+        vehicle.guidance.takeoff_height_m = 100.0
     elif event is ModeEvent.DISARMED:
         vehicle.disarm("command", force=True)
     seconds = {ModeEvent.GCS_LOST: 1.6, ModeEvent.FAILSAFE_DELAY_OVER: 3.8, ModeEvent.STREAM_LOST: 1.3}.get(event, 0.2)
@@ -105,7 +107,7 @@ def test_every_mode_and_event(autopilot: str, mode: str, event: ModeEvent) -> No
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
 def test_arming_in_every_mode(autopilot: str) -> None:
     """PX4 refuses with TEMPORARILY_REJECTED, ArduPilot with FAILED, both say why; force overrules."""
-    for mode in MANNERS[autopilot].modes:
+    for mode in MODES[autopilot]:
         station = ready(autopilot)
         vehicle = station.pilot
         vehicle.change(mode, keep_intention=False)
@@ -121,7 +123,7 @@ def test_arming_in_every_mode(autopilot: str) -> None:
 
 def test_px4_flight() -> None:
     station = ready("px4")
-    assert station.pilot.status is StatusText.STANDBY
+    assert station.pilot.status is SystemStatus.STANDBY
     station.setpoint(PLACE, mask=USE_POSITION)
     assert station.mode(OFFBOARD) == [0, 0]  # the blind one, then the truth
     station.command(ARM, 1)
@@ -214,7 +216,7 @@ def test_px4_stream_loss(action: int, mode: str) -> None:
     assert station.pilot.mode.name == "OFFBOARD"
     station.run(0.3)
     assert station.pilot.mode.name == mode
-    assert station.pilot.status is StatusText.CRITICAL
+    assert station.pilot.status is SystemStatus.CRITICAL
     assert "Failsafe activated\t" in station.texts()
     station.setpoint(PLACE, mask=USE_POSITION)
     station.run(0.04)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
 from sitl_mock.autopilot.parameters import Parameters
-from sitl_mock.autopilot.profiles import PX4
+from sitl_mock.profiles.px4 import PROFILE as PX4
 from tests.sitl.driver import ready
 
 INT8, INT32, REAL32 = 2, 6, 9

@@ -15,9 +15,9 @@ import pytest
 from fastcrc import crc16
 from pymavlink.dialects.v20 import all as dialect
 
-from sitl_mock.__main__ import grid
+from sitl_mock import profiles
+from sitl_mock.host.fleet import grid
 from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
-from sitl_mock.protocol.services import HANDLERS
 from tests.sitl.process import free_udp_port, simulator
 
 Address = tuple[str, int]
@@ -175,11 +175,12 @@ def test_every_message_with_wild_fields_is_survived() -> None:
     loop = VirtualLoop()
     for autopilot in ("px4", "ardupilot"):
         sim = Simulator(options(autopilot, vehicles=1, port_base=18570))
+        known = {*profiles.strategy(autopilot).dialect.messages, "COMMAND_LONG", "COMMAND_INT"}
         loop.run_until_complete(sim.start())
         loop.run_until_s(loop.now_s + 2.0)
         vehicle = loop.protocols["127.0.0.1", 18570]
         for kind in dialect.mavlink_map.values():
-            if kind.msgname not in HANDLERS:
+            if kind.msgname not in known:
                 continue
             for _ in range(40):
                 length = kind.unpacker.size
@@ -270,9 +271,13 @@ def test_truth_is_readable() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--vehicles", "0"], "number of vehicles"),
-        (["--vehicles", "2", "--pads", "0,0"], "1 pads for 2 vehicles"),
-        (["--system-ids", "1,1", "--vehicles", "2"], "twice"),
+        (["--vehicles", "0"], "nothing to simulate"),
+        (["--vehicles", "2", "--pads", "0,0"], "the number of pads (1) is not the number of vehicles (2)"),
+        (["--system-ids", "1,1", "--vehicles", "2"], "system id 1 belongs to 2 vehicles"),
+        (
+            ["--system-ids", "1,2,3", "--vehicles", "2"],
+            "the number of system ids (3) is not the number of vehicles (2)",
+        ),
         (["--remote", "8.8.8.8:14550"], "127.0.0.1:PORT only"),
         (["--origin", "1,2"], "LAT,LON,ALT"),
         (["--speed", "nan"], "not a number"),

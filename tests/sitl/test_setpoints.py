@@ -8,42 +8,38 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sitl_mock.autopilot.setpoints import (
-    LETHAL,
-    Situation,
-    Understood,
-    Verdict,
-    Wish,
-    understand_ardupilot,
-    understand_px4,
-)
+from sitl_mock import profiles
+from sitl_mock.autopilot.parameters import Parameters
+from sitl_mock.autopilot.setpoints import LETHAL, Interpretation, Pose, SetpointEffect, SetpointFields
 
-HERE = Situation(now_s=5.0, offset_ned_m=(100.0, 0.0, 0.0), position_ned_m=(103.0, 0.0, -10.0), yaw_rad=math.pi / 2)
+HERE = Pose(now_s=5.0, local_origin_ned_m=(100.0, 0.0, 0.0), position_ned_m=(103.0, 0.0, -10.0), yaw_rad=math.pi / 2)
 NAN = math.nan
-FLY, BRAKE, HOLD, INVALID = Verdict.FLY, Verdict.BRAKE, Verdict.HOLD, Verdict.INVALID
+FLY, BRAKE, HOLD, INVALID = SetpointEffect.FLY, SetpointEffect.BRAKE, SetpointEffect.HOLD, SetpointEffect.INVALID
+RULES = {name: profiles.strategy(name).rules for name in ("px4", "ardupilot")}
+PARAMETERS = {name: Parameters(rules.profile, 1) for name, rules in RULES.items()}
 
 
-def wish(
+def setpoint(
     mask: int,
     frame: int = 1,
     position: tuple[float, float, float] = (1.0, 2.0, -3.0),
     velocity: tuple[float, float, float] = (4.0, 5.0, 6.0),
     acceleration: tuple[float, float, float] = (0.1, 0.2, 0.3),
     yaw: float = 0.5,
-) -> Wish:
-    return Wish(mask, frame, position, velocity, acceleration, yaw, 0.25)
+) -> SetpointFields:
+    return SetpointFields(mask, frame, position, velocity, acceleration, yaw, 0.25)
 
 
-def px4(w: Wish) -> Understood:
-    return understand_px4(w, HERE, carry_s=0.1)
+def px4(fields: SetpointFields) -> Interpretation:
+    return RULES["px4"].interpret(fields, HERE, PARAMETERS["px4"])
 
 
-def ardupilot(w: Wish) -> Understood:
-    return understand_ardupilot(w, HERE, carry_s=3.0)
+def ardupilot(fields: SetpointFields) -> Interpretation:
+    return RULES["ardupilot"].interpret(fields, HERE, PARAMETERS["ardupilot"])
 
 
 @pytest.mark.parametrize(
-    ("mask", "frame", "verdict"),
+    ("mask", "frame", "effect"),
     [
         (0xDF8, 1, FLY),  # position
         (0xDC0, 1, FLY),  # position, velocity
@@ -66,22 +62,22 @@ def ardupilot(w: Wish) -> Understood:
         (0xDFA, 1, HOLD),  # only y ignored
     ],
 )
-def test_px4_masks(mask: int, frame: int, verdict: Verdict) -> None:
-    understood = px4(wish(mask, frame))
-    assert understood.verdict is verdict
-    assert (understood.reference is not None) == (verdict is FLY)
-    assert bool(understood.text) == (verdict is INVALID)
+def test_px4_masks(mask: int, frame: int, effect: SetpointEffect) -> None:
+    answer = px4(setpoint(mask, frame))
+    assert answer.effect is effect
+    assert (answer.reference is not None) == (effect is FLY)
+    assert bool(answer.text) == (effect is INVALID)
 
 
 @pytest.mark.parametrize("bad", [NAN, math.inf, -math.inf])
 def test_px4_holds_on_one_bad_horizontal_coordinate_and_refuses_none_at_all(bad: float) -> None:
-    assert px4(wish(0xDF8, position=(bad, 2.0, -3.0))).verdict is HOLD
-    assert px4(wish(0xDF8, position=(1.0, bad, -3.0))).verdict is HOLD
-    assert px4(wish(0xDF8, position=(bad, bad, bad))).verdict is INVALID
+    assert px4(setpoint(0xDF8, position=(bad, 2.0, -3.0))).effect is HOLD
+    assert px4(setpoint(0xDF8, position=(1.0, bad, -3.0))).effect is HOLD
+    assert px4(setpoint(0xDF8, position=(bad, bad, bad))).effect is INVALID
 
 
 @pytest.mark.parametrize(
-    ("mask", "frame", "verdict"),
+    ("mask", "frame", "effect"),
     [
         (0xDF8, 1, FLY),
         (0xDC0, 1, FLY),
@@ -110,42 +106,42 @@ def test_px4_holds_on_one_bad_horizontal_coordinate_and_refuses_none_at_all(bad:
         (0xDF8, 9, FLY),
     ],
 )
-def test_ardupilot_masks(mask: int, frame: int, verdict: Verdict) -> None:
-    understood = ardupilot(wish(mask, frame))
-    assert understood.verdict is verdict
-    assert not understood.text
+def test_ardupilot_masks(mask: int, frame: int, effect: SetpointEffect) -> None:
+    answer = ardupilot(setpoint(mask, frame))
+    assert answer.effect is effect
+    assert not answer.text
 
 
 @pytest.mark.parametrize(
     ("bad", "text"),
     [
-        (wish(0xDF8, position=(NAN, 0.0, 0.0)), LETHAL),
-        (wish(0xDF8, position=(0.0, math.inf, 0.0)), LETHAL),
-        (wish(0xDF8, position=(0.0, 0.0, 1e9)), LETHAL),
-        (wish(0xC00, acceleration=(0.0, NAN, 0.0)), LETHAL),
-        (wish(0x9F8, yaw=NAN), LETHAL),
-        (wish(0xDC7, velocity=(NAN, 0.0, 0.0)), ""),
-        (wish(0xDC7, velocity=(0.0, 1001.0, 0.0)), ""),
+        (setpoint(0xDF8, position=(NAN, 0.0, 0.0)), LETHAL),
+        (setpoint(0xDF8, position=(0.0, math.inf, 0.0)), LETHAL),
+        (setpoint(0xDF8, position=(0.0, 0.0, 1e9)), LETHAL),
+        (setpoint(0xC00, acceleration=(0.0, NAN, 0.0)), LETHAL),
+        (setpoint(0x9F8, yaw=NAN), LETHAL),
+        (setpoint(0xDC7, velocity=(NAN, 0.0, 0.0)), ""),
+        (setpoint(0xDC7, velocity=(0.0, 1001.0, 0.0)), ""),
     ],
 )
-def test_ardupilot_brakes_on_numbers_that_are_none(bad: Wish, text: str) -> None:
-    understood = ardupilot(bad)
-    assert (understood.verdict, understood.text) == (BRAKE, text)
+def test_ardupilot_brakes_on_numbers_that_are_none(bad: SetpointFields, text: str) -> None:
+    answer = ardupilot(bad)
+    assert (answer.effect, answer.text) == (BRAKE, text)
 
 
 def test_nan_in_ignored_fields_is_harmless() -> None:
-    hostile = wish(0xDF8, velocity=(NAN, NAN, NAN), acceleration=(NAN, NAN, NAN), yaw=NAN)
-    for understood in (px4(hostile), ardupilot(hostile)):
-        assert understood.verdict is FLY
-        assert understood.reference is not None
-        assert understood.reference.velocity_ned_m_s == (0.0, 0.0, 0.0)
+    hostile = setpoint(0xDF8, velocity=(NAN, NAN, NAN), acceleration=(NAN, NAN, NAN), yaw=NAN)
+    for answer in (px4(hostile), ardupilot(hostile)):
+        assert answer.effect is FLY
+        assert answer.reference is not None
+        assert answer.reference.velocity_ned_m_s == (0.0, 0.0, 0.0)
 
 
 def test_frames_of_ardupilot() -> None:
     """Local from the origin; offset from here; body turned by the heading (here: east)."""
     places = {}
     for frame in (1, 7, 8, 9):
-        reference = ardupilot(wish(0xDF8, frame, position=(1.0, 0.0, 0.0))).reference
+        reference = ardupilot(setpoint(0xDF8, frame, position=(1.0, 0.0, 0.0))).reference
         assert reference is not None
         places[frame] = reference.position_ned_m
     assert places[1] == pytest.approx((101.0, 0.0, 0.0))
@@ -156,7 +152,7 @@ def test_frames_of_ardupilot() -> None:
 
 def test_yaw_ignored() -> None:
     """PX4 keeps the heading; ArduPilot turns the nose into the direction of travel."""
-    kept, turned = px4(wish(0xDF8)).reference, ardupilot(wish(0xDC7, velocity=(0.0, -3.0, 0.0))).reference
+    kept, turned = px4(setpoint(0xDF8)).reference, ardupilot(setpoint(0xDC7, velocity=(0.0, -3.0, 0.0))).reference
     assert kept is not None
     assert kept.yaw_rad is None
     assert turned is not None
@@ -164,7 +160,7 @@ def test_yaw_ignored() -> None:
 
 
 def test_how_long_targets_run_on() -> None:
-    alone, moving, px4_moving = ardupilot(wish(0xDF8)), ardupilot(wish(0xDC0)), px4(wish(0xDC0))
+    alone, moving, px4_moving = ardupilot(setpoint(0xDF8)), ardupilot(setpoint(0xDC0)), px4(setpoint(0xDC0))
     assert [u.reference and (u.reference.carry_s, u.reference.lapses) for u in (alone, moving, px4_moving)] == [
         (0.0, False),
         (3.0, True),
@@ -186,8 +182,8 @@ def test_whatever_comes_what_is_flown_is_finite(
     yaw: float,
     rate: float,
 ) -> None:
-    for understand in (px4, ardupilot):
-        reference = understand(Wish(mask, frame, position, velocity, acceleration, yaw, rate)).reference
+    for interpret in (px4, ardupilot):
+        reference = interpret(SetpointFields(mask, frame, position, velocity, acceleration, yaw, rate)).reference
         if reference is not None:
             flown = (*reference.position_ned_m, *reference.velocity_ned_m_s, *reference.acceleration_ned_m_s2)
             assert all(map(math.isfinite, (*flown, reference.yaw_rad or 0.0, reference.yaw_rate_rad_s)))

@@ -121,7 +121,7 @@ def test_the_same_targets_send_the_same_bytes_and_listen_to_nobody() -> None:
         loop = VirtualLoop()
         simulated = Simulator(SimulatorOptions(pads_enu_m=(), system_ids=(), targets=(target("figure_eight"),)))
         loop.run_until_complete(simulated.start())
-        simulated.heard(0, 0, noise)
+        simulated.receive(0, 0, noise)
         loop.run_until_s(2.0)
         loop.run_until_complete(simulated.close())
         loop.close()
@@ -138,7 +138,7 @@ def test_the_same_targets_send_the_same_bytes_and_listen_to_nobody() -> None:
         ("[]", "not a JSON object"),
         ('{"kind": "static", "position_enu_m": [0, 0, 9]}', "system_id must be a whole number from 1 to 255"),
         ('{"system_id": 300, "kind": "static", "position_enu_m": [0, 0, 9]}', "system_id must be"),
-        ('{"system_id": 9, "position_enu_m": [0, 0, 9]}', "kind 'None' is none of: static, circle"),
+        ('{"system_id": 9, "position_enu_m": [0, 0, 9]}', "kind 'None' is not one of: static, circle"),
         ('{"system_id": 9, "kind": "static"}', "position_enu_m"),
         ('{"system_id": 9, "kind": "static", "position_enu_m": [0, 9]}', "position_enu_m must be [east, north, up]"),
         (
@@ -191,7 +191,7 @@ def test_the_command_line_takes_targets() -> None:
         assert len(ports) == 1
     for arguments, said in (
         (["--vehicles", "0", "--target", "3"], "not a JSON object"),
-        (["--target", text.replace("101", "1")], "--target names a system id that another vehicle has"),
+        (["--target", text.replace("101", "1")], "system id 1 belongs to 2 vehicles"),
     ):
         command = [sys.executable, "-m", "sitl_mock", *arguments]
         run = subprocess.run(command, capture_output=True, text=True, check=False)

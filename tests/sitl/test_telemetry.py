@@ -7,8 +7,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from sitl_mock.autopilot.profiles import PX4
 from sitl_mock.physics.geodesy import Geodetic
+from sitl_mock.profiles.px4 import PROFILE as PX4
 from tests.sitl.driver import ARM, GUIDED, USE_POSITION, Station, ready
 
 QUANTUM_M = 0.02  # 1e-7 degrees are 1.1 cm

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from enum import Enum, auto
 from typing import NamedTuple
 
 from sitl_mock.autopilot.parameters import Parameters
-from sitl_mock.autopilot.profiles import AutopilotProfile, Behaviour
+from sitl_mock.autopilot.profile import AutopilotProfile, Behaviour
 from sitl_mock.physics.reference import ALL, NONE, Flags3, Limits, Reference, Vec3
 
 STANDSTILL_M_S = 0.3  # slower than this a braking vehicle takes the spot for its place to stay
 REACHED_M = 0.15  # of a height: the real ones call a take-off finished 0.1-0.2 m below
 OVERHEAD_M = 1.0  # horizontal distance from home at which a return is over
 OWN_GAIN_PER_S = 1.2  # approach of heights and places that the autopilot chose itself
-PILOTLESS_DRIFT_M_S = 0.14  # PX4 POSCTL without a pilot: 1.4 m in 10 s
 PILOTLESS_RISE_M_S = 0.5  # PX4 STABILIZED without a pilot climbs away
-PX4_RETURN_CONE_M = 1.0  # lowest return above home
 
 
-class Body(NamedTuple):
+class BodyState(NamedTuple):
     """One vehicle's state at one instant, world NED."""
 
     time_s: float
@@ -45,23 +44,44 @@ class ReturnStage(Enum):
     DESCEND = auto()
 
 
-class Pilot:
+class GuidanceRules(ABC):
+    """How one autopilot lands and returns; stateless.
+
+    Args:
+        profile: its numbers and names.
+    """
+
+    def __init__(self, profile: AutopilotProfile) -> None:
+        self.profile = profile
+
+    @abstractmethod
+    def landing_speed_m_s(self, parameters: Parameters, height_m: float) -> float:
+        """How fast a landing sinks [m/s] at a height above the ground [m]."""
+
+    @abstractmethod
+    def return_height_m(self, parameters: Parameters, away_m: float) -> float:
+        """Lowest height above the ground [m] to return at from a horizontal distance [m]."""
+
+    @abstractmethod
+    def return_wait_s(self, parameters: Parameters) -> float:
+        """How long a return waits above home [s] before it descends."""
+
+
+class Guidance:
     """Flies one vehicle by its behaviour.
 
     Args:
-        profile: the autopilot's table.
+        rules: the autopilot's, with its profile.
         parameters: the vehicle's parameters, read whenever they matter.
-        drift_rad: direction of travel of a vehicle that nobody steers.
+        drift_rad: direction of travel of a vehicle in a pilot's mode without a pilot.
     """
 
-    def __init__(self, profile: AutopilotProfile, parameters: Parameters, drift_rad: float) -> None:
-        self._px4 = profile.is_px4
-        self._manners = profile
+    def __init__(self, rules: GuidanceRules, parameters: Parameters, drift_rad: float) -> None:
+        self._rules = rules
+        self._profile = rules.profile
         self._parameters = parameters
-        self._drift_m_s = (
-            PILOTLESS_DRIFT_M_S * math.cos(drift_rad),
-            PILOTLESS_DRIFT_M_S * math.sin(drift_rad),
-        )
+        drift_m_s = rules.profile.pilotless_drift_m_s
+        self._drift_m_s = (drift_m_s * math.cos(drift_rad), drift_m_s * math.sin(drift_rad))
         self._place: tuple[float, float] | None = None  # north, east where the vehicle stays
         self._height_m: float | None = None
         self._yaw_rad = 0.0
@@ -72,7 +92,7 @@ class Pilot:
         self._destination: Reference | None = None
         self.home_m: tuple[float, float] = (0.0, 0.0)  # north, east
 
-    def enter(self, body: Body) -> None:
+    def enter(self, body: BodyState) -> None:
         """A new behaviour begins: forget places, keep the heading."""
         self._place = None
         self._height_m = None
@@ -86,7 +106,7 @@ class Pilot:
         self._destination = destination
         self.setpoint = None
 
-    def reached(self, body: Body) -> bool:
+    def reached(self, body: BodyState) -> bool:
         """Whether the take-off height is reached."""
         return body.height_m > self.takeoff_height_m - REACHED_M
 
@@ -95,23 +115,24 @@ class Pilot:
         """Whether a return is on its last leg."""
         return self._stage is ReturnStage.DESCEND
 
-    def fly(self, behaviour: Behaviour, body: Body) -> tuple[Reference, Limits]:
+    def fly(self, behaviour: Behaviour, body: BodyState) -> tuple[Reference, Limits]:
         """The reference of this moment, and the limits to fly it with."""
         if behaviour is Behaviour.FOLLOW:
             if self.setpoint is not None:
-                return self.setpoint, self.limits(self._manners.step_gain_per_s)
+                return self.setpoint, self.limits(self._profile.step_gain_per_s)
             return self._stay(body), self.limits()
         if behaviour is Behaviour.TAKEOFF:
             place = self._settled_place(body) or body.position_m[:2]
-            climb_m_s = self._value("MPC_TKO_SPEED", "WPNAV_SPEED_UP", 0.01)
+            climb_m_s = self._speed(self._profile.speeds.takeoff)
             return self._at(place, self.takeoff_height_m), self.limits(climb_m_s=climb_m_s)
         if behaviour is Behaviour.LAND:
             return self._sink_slowly(body), self.limits()
         if behaviour is Behaviour.RETURN:
             return self._return(body)
         if behaviour is Behaviour.SINK:
-            drift = self._drift_m_s if self._px4 else (0.0, 0.0)
-            return self._moving((*drift, self._manners.sink_m_s)), self.limits(descent_m_s=self._manners.sink_m_s)
+            return self._moving((*self._drift_m_s, self._profile.sink_m_s)), self.limits(
+                descent_m_s=self._profile.sink_m_s
+            )
         if behaviour is Behaviour.RISE:
             return self._moving((*self._drift_m_s, -PILOTLESS_RISE_M_S)), self.limits()
         return self._stay(body), self.limits()
@@ -120,26 +141,26 @@ class Pilot:
         self, gain_per_s: float = OWN_GAIN_PER_S, climb_m_s: float | None = None, descent_m_s: float | None = None
     ) -> Limits:
         """What the parameters allow now."""
+        names = self._profile.speeds
         return Limits(
-            speed_m_s=self._value("MPC_XY_VEL_MAX", "WPNAV_SPEED", 0.01),
-            climb_m_s=climb_m_s or self._value("MPC_Z_VEL_MAX_UP", "WPNAV_SPEED_UP", 0.01),
-            descent_m_s=descent_m_s or self._value("MPC_Z_VEL_MAX_DN", "WPNAV_SPEED_DN", 0.01),
-            acceleration_m_s2=self._value("MPC_ACC_HOR", "WPNAV_ACCEL", 0.01),
+            speed_m_s=self._speed(names.horizontal),
+            climb_m_s=climb_m_s or self._speed(names.climb),
+            descent_m_s=descent_m_s or self._speed(names.descent),
+            acceleration_m_s2=self._speed(names.acceleration),
             step_gain_per_s=gain_per_s,
         )
 
-    def _value(self, px4_name: str, ardupilot_name: str, ardupilot_scale: float) -> float:
-        if self._px4:
-            return self._parameters.positive(px4_name)
-        return self._parameters.positive(ardupilot_name, ardupilot_scale)
+    def _speed(self, name: str) -> float:
+        """A parameter of speed or acceleration in SI units."""
+        return self._parameters.positive(name, self._profile.speeds.scale)
 
-    def _settled_place(self, body: Body) -> tuple[float, float] | None:
+    def _settled_place(self, body: BodyState) -> tuple[float, float] | None:
         """Where to stay, once the vehicle is slow enough to say so."""
         if self._place is None and math.hypot(body.velocity_m_s[0], body.velocity_m_s[1]) < STANDSTILL_M_S:
             self._place = (body.position_m[0], body.position_m[1])
         return self._place
 
-    def _stay(self, body: Body) -> Reference:
+    def _stay(self, body: BodyState) -> Reference:
         """Brake, then stay at the place and height where it came to rest; or go where it was sent."""
         if self._destination is not None:
             return self._destination
@@ -168,32 +189,21 @@ class Pilot:
             yaw_rad=self._yaw_rad,
         )
 
-    def _sink_slowly(self, body: Body) -> Reference:
-        """Land here: PX4 1.5, 0.7, 0.3 m/s by height; ArduPilot up to 1.5, then 0.5 m/s below 10 m."""
-        value = self._parameters
-        if self._px4:
-            high_m, low_m = value["MPC_LAND_ALT1"], value["MPC_LAND_ALT2"]
-            fast_m_s, slow_m_s = value.positive("MPC_Z_V_AUTO_DN"), value.positive("MPC_LAND_SPEED")
-            share = min(max((body.height_m - low_m) / max(high_m - low_m, 0.1), 0.0), 1.0)
-            descent_m_s = slow_m_s + share * (fast_m_s - slow_m_s)
-            if body.height_m < value["MPC_LAND_ALT3"]:
-                descent_m_s = value.positive("MPC_LAND_CRWL")
-        else:
-            slow_m_s = value.positive("LAND_SPEED", 0.01)
-            high = body.height_m > value["LAND_ALT_LOW"] * 0.01
-            descent_m_s = value.positive("WPNAV_SPEED_DN", 0.01) if high else slow_m_s
+    def _sink_slowly(self, body: BodyState) -> Reference:
+        """Land here, as fast as the height allows."""
+        descent_m_s = self._rules.landing_speed_m_s(self._parameters, body.height_m)
         return self._reference(self._settled_place(body), None, (0.0, 0.0, descent_m_s))
 
-    def _return(self, body: Body) -> tuple[Reference, Limits]:
+    def _return(self, body: BodyState) -> tuple[Reference, Limits]:
         """Climb, cruise home, wait, land."""
         away_m = math.hypot(body.position_m[0] - self.home_m[0], body.position_m[1] - self.home_m[1])
         if self._height_m is None:
-            self._height_m = max(body.height_m, self._return_height_m(away_m))
+            self._height_m = max(body.height_m, self._rules.return_height_m(self._parameters, away_m))
         if self._stage is ReturnStage.CLIMB and body.height_m > self._height_m - REACHED_M:
             self._stage = ReturnStage.CRUISE
         if self._stage is ReturnStage.CRUISE and away_m < OVERHEAD_M:
             self._stage, self._since_s = ReturnStage.WAIT, body.time_s
-        wait_s = self._parameters["RTL_LAND_DELAY"] if self._px4 else self._parameters["RTL_LOIT_TIME"] * 0.001
+        wait_s = self._rules.return_wait_s(self._parameters)
         if self._stage is ReturnStage.WAIT and body.time_s - self._since_s >= wait_s:
             self._stage, self._place = ReturnStage.DESCEND, self.home_m
         if self._stage is ReturnStage.DESCEND:
@@ -201,12 +211,3 @@ class Pilot:
         if self._stage is ReturnStage.CLIMB:
             return self._reference(self._settled_place(body), self._height_m, (0.0, 0.0, 0.0)), self.limits()
         return self._at(self.home_m, self._height_m), self.limits()
-
-    def _return_height_m(self, away_m: float) -> float:
-        if not self._px4:
-            return max(self._parameters["RTL_ALT"] * 0.01, 0.0)
-        highest_m = self._parameters["RTL_RETURN_ALT"]
-        if away_m > self._parameters["RTL_MIN_DIST"]:
-            return highest_m
-        half_rad = math.radians(min(max(self._parameters["RTL_CONE_ANG"], 1.0), 89.0))
-        return min(highest_m, max(away_m, PX4_RETURN_CONE_M) / math.tan(half_rad))

@@ -1,0 +1,32 @@
+"""The autopilots that can be simulated: one module each, with its parameters in the TOML file of the same name.
+
+A module has a `STRATEGY`: the autopilot's rules, with its profile, and its dialect. A new module here is a new
+autopilot; nothing else has to know its name. Every number was measured on the wire of the real SITL autopilots (PX4
+1.17-alpha with SIH, ArduCopter 4.7-dev); `docs/autopilots.md` has the records.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # `names` is for the command line's --help, which shall stay quick
+    from sitl_mock.protocol.dialect import Strategy
+
+
+def names() -> tuple[str, ...]:
+    """The autopilots that there are, in the order of the alphabet."""
+    return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
+
+
+def strategy(name: str) -> Strategy:
+    """The strategy of an autopilot.
+
+    Raises:
+        ValueError: no autopilot has this name; says which do.
+    """
+    if name not in names():
+        raise ValueError(f"autopilot {name!r} is not one of: {', '.join(names())}")
+    found: Strategy = importlib.import_module(f"{__name__}.{name}").STRATEGY
+    return found

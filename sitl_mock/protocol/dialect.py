@@ -1,0 +1,62 @@
+"""How one autopilot speaks: its tables of messages, commands and telemetry, and with its rules the whole strategy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from sitl_mock.autopilot.autopilot import Autopilot, Rules
+from sitl_mock.autopilot.guidance import BodyState
+from sitl_mock.messages import CommandResult, Fields, Received
+from sitl_mock.protocol import commands, services, telemetry
+from sitl_mock.protocol.commands import Command, acknowledgement, command_of
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """Tables from what is received to what is done, and from a message's name to how it is made.
+
+    Attributes:
+        messages: by the message's name; what is not there is ignored. Commands have tables of their own.
+        commands: by MAV_CMD; a handler that returns None has acknowledged already, or never does.
+        fixed_results: of commands that do nothing; any other command is UNSUPPORTED.
+        builders: by the message's name; what is not there is never sent.
+    """
+
+    messages: Mapping[str, services.Handler]
+    commands: Mapping[int, commands.Handler]
+    fixed_results: Mapping[int, CommandResult]
+    builders: Mapping[str, telemetry.Builder]
+
+    def receive(self, vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
+        """Let a vehicle act on one message that arrived on a link."""
+        if not vehicle.profile.texts.need_gcs:
+            vehicle.links[link].texts_open = True
+        if now_s < vehicle.boot.heartbeat_s:
+            return
+        if message.name in ("COMMAND_LONG", "COMMAND_INT"):
+            if services.addressed(vehicle, message, vehicle.profile.obeys_system_0):
+                self._execute(vehicle, command_of(message, link))
+        elif (handler := self.messages.get(message.name)) is not None:
+            handler(vehicle, message, link, now_s)
+
+    def fields_of(self, name: str, vehicle: Autopilot, body: BodyState) -> Fields | None:
+        """The fields of a message, or None when the vehicle cannot send it now (or at all)."""
+        builder = self.builders.get(name)
+        return None if builder is None else builder(vehicle, body)
+
+    def _execute(self, vehicle: Autopilot, command: Command) -> None:
+        """Do what a command asks and acknowledge it to its sender."""
+        handler = self.commands.get(command.number)
+        fixed = self.fixed_results.get(command.number, CommandResult.UNSUPPORTED)
+        result = fixed if handler is None else handler(vehicle, command)
+        if result is not None:
+            vehicle.outbox.append(acknowledgement(command, result))
+
+
+class Strategy(NamedTuple):
+    """One autopilot: what it does, and how it speaks."""
+
+    rules: Rules
+    dialect: Dialect
