@@ -71,6 +71,7 @@ class Director:
         mission: what is flown.
         target_follower: of moving targets, once it is ready.
         streamer: the source of setpoints, once there is a plan.
+        in_good_moments: called with the loop's time [s] when milliseconds of work delay no setpoint; must not raise.
     """
 
     def __init__(self, mission: Mission, setup: Setup, recorder: Recorder) -> None:
@@ -80,6 +81,7 @@ class Director:
         self.journal = Journal(recorder)
         self.target_follower: TargetFollower | None = None
         self.streamer: Streamer | None = None
+        self.in_good_moments: Callable[[float], None] | None = None
         self.mission = mission
         self._router: Router | None = None
         self._setup = setup
@@ -99,11 +101,6 @@ class Director:
         if self._failure is None:
             self._failure = error
             self.interrupt(f"internal error: {error!r}")
-
-    async def quiet_moment(self) -> None:
-        """Wait until some milliseconds of work, such as a picture for people, delay no setpoint."""
-        if self.streamer is not None:
-            await self.streamer.quiet_moment()
 
     @property
     def networks(self) -> tuple[str, ...]:
@@ -174,6 +171,7 @@ class Director:
             await self._unless_interrupted(on_the_ground())
             sortie = sorties[0]
             self.streamer = sortie.streamer
+            self.streamer.after_round = self._good_moment
             background += [asyncio.create_task(sortie.streamer.run()), asyncio.create_task(sortie.watch())]
             if self.target_follower is None:
                 flight = sortie.fly()
@@ -312,6 +310,12 @@ class Director:
         """Write down what vehicles and router say while it happens: run it as a task."""
         async for _ in ticks(asyncio.get_running_loop().time(), DRAIN_S):
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
+            if self.streamer is None or not self.streamer.streams:
+                self._good_moment(asyncio.get_running_loop().time())
+
+    def _good_moment(self, now_s: float) -> None:
+        if self.in_good_moments is not None:
+            self.in_good_moments(now_s)
 
     async def _put_back(self, failsafes: Failsafes) -> None:
         try:

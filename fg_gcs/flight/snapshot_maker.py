@@ -1,11 +1,9 @@
-"""Makes the run's snapshots between two rounds of setpoints, and hands them to whoever wants them."""
+"""Makes the run's snapshots right after setpoints have left, and hands them to whoever wants them."""
 
 from __future__ import annotations
 
-import asyncio
+import math
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, Final, Protocol
 
 from fg_gcs.core.frames import rotate_ned_enu
@@ -21,7 +19,6 @@ from fg_gcs.flight.snapshot import (
     vector,
 )
 from fg_gcs.flight.target_follower import said
-from fg_gcs.link.clock import ticks
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -30,6 +27,7 @@ if TYPE_CHECKING:
 
 MOST_HZ: Final = 25.0  # a picture shows no more; each costs some tenths of a millisecond that the streamer shares
 MOST_EVENTS: Final = 1000  # kept for the next snapshot; more in a twenty-fifth of a second are a flood
+ROUNDING_S: Final = 1e-6  # of a time: half a period of the stream is not to be lost to it
 ALARMING: Final = frozenset({Phase.LOST, Phase.TAKEN})
 
 
@@ -44,13 +42,21 @@ class Readers(Protocol):
 
 
 class SnapshotMaker:
-    """Makes snapshots of one flight; run :meth:`run` as a task."""
+    """Makes snapshots of one flight whenever the flight says that it is a good moment.
+
+    It has no timer of its own: an observed flight is the same flight.
+
+    Attributes:
+        enough: no more are made: making one has failed.
+    """
 
     def __init__(self, director: Director, readers: Readers, rate_hz: float) -> None:
         """Make at most ``rate_hz`` snapshots a second, and never more than `MOST_HZ` [Hz]."""
+        self.enough = False
         self._director = director
         self._readers = readers
         self._period_s = 1.0 / min(rate_hz, MOST_HZ)
+        self._due_s = -math.inf
         self._events: deque[LoggedEvent] = deque(maxlen=MOST_EVENTS)
         self._number = 0
 
@@ -58,17 +64,23 @@ class SnapshotMaker:
         """Keep an event for the next snapshot."""
         self._events.append(event)
 
-    async def run(self) -> None:
-        """Make snapshots for ever, each in a quiet moment of the streamer."""
-        time: Callable[[], float] = asyncio.get_running_loop().time
-        async for _ in ticks(time(), self._period_s):
-            if not self._readers.wanted():
-                self._events.clear()
-                continue
-            with suppress(TimeoutError):  # the streamer may have stopped meanwhile
-                async with asyncio.timeout(self._period_s):
-                    await self._director.quiet_moment()
-            self._readers.take(self.snapshot(time()))
+    def good_moment(self, now_s: float) -> None:
+        """Make a snapshot if one is due and wanted; never raises.
+
+        Args:
+            now_s: reading of the loop's clock [s]; setpoints have just left, or none are streamed.
+        """
+        if self.enough or now_s < self._due_s - ROUNDING_S:
+            return
+        if not self._readers.wanted():
+            self._events.clear()
+            return
+        self._due_s = max(self._due_s + self._period_s, now_s)  # a late one is not made up for
+        try:
+            self._readers.take(self.snapshot(now_s))
+        except Exception as error:  # a bug of ours, which must not end the flight
+            self.enough = True
+            self._director.journal.event("warning", f"no more snapshots: {error!r}")
 
     def snapshot(self, now_s: float) -> Snapshot:
         """Return the run as it is at a reading of the loop's clock [s]; the events are handed out with it."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -23,12 +23,20 @@ REMEMBERED = 100  # rounds of setpoints: a second or two of them, which is longe
 
 
 class Streamer:
-    """Sends the present motion's setpoints to every vehicle that is not released."""
+    """Sends the present motion's setpoints to every vehicle that is not released.
+
+    Attributes:
+        motion: what is streamed; None: nothing.
+        late_ticks: rounds that were skipped because the loop was busy.
+        after_round: called with the loop's time [s] after each round of setpoints; must not raise.
+        period_s: between two rounds [s].
+    """
 
     def __init__(self, fleet: Fleet, recorder: Recorder, rate_hz: float) -> None:
         """Stream at ``rate_hz`` [Hz] as soon as there is a motion and a vehicle is engaged."""
         self.motion: Motion | None = None
         self.late_ticks = 0
+        self.after_round: Callable[[float], None] | None = None
         self._fleet = fleet
         self._recorder = recorder
         self.period_s = 1.0 / rate_hz
@@ -42,6 +50,11 @@ class Streamer:
     def due_s(self) -> float:
         """The loop's time at which the next setpoints leave; in the past while nothing is streamed [s]."""
         return self._due_s
+
+    @property
+    def streams(self) -> bool:
+        """Whether setpoints are sent to any vehicle."""
+        return self.motion is not None and any(self._engaged)
 
     def engaged(self, row: int) -> bool:
         """Tell whether this vehicle gets setpoints."""
@@ -63,7 +76,7 @@ class Streamer:
 
     async def quiet_moment(self) -> None:
         """Wait until setpoints have just left: work done now delays none, if it ends before the next tick."""
-        if self.motion is not None and any(self._engaged):
+        if self.streams:
             await self._sent.wait()
 
     def send_now(self) -> None:
@@ -83,8 +96,10 @@ class Streamer:
                 self._send(self.motion, now_s)
                 self._recorder.ticks.append((self._recorder.since_start_s(now_s), late_s))
                 self._due_s = start_s + (k + 1) * self.period_s
-                self._sent.set()  # wakes who waits now
+                self._sent.set()  # wakes what waits now
                 self._sent.clear()
+                if self.after_round is not None:
+                    self.after_round(now_s)
 
     def _send(self, motion: Motion, now_s: float) -> None:
         rows = motion.rows

@@ -215,8 +215,8 @@ async def _flown(
             return Director(mission, Setup(networks, 0.0, True, time.perf_counter), recorder), error
         director = Director(mission, setup, recorder)
         try:
-            async with audience.watching(director, options.snapshot_hz):
-                await director.fly()
+            audience.watch(director, options.snapshot_hz)
+            await director.fly()
         except FgError as error:
             recorder.event(loop.time(), "error", str(error))
             return director, error

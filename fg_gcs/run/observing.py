@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Final
 
@@ -69,19 +69,11 @@ class Audience:
             if broadcast is not None:
                 broadcast.close()
 
-    @asynccontextmanager
-    async def watching(self, director: Director, snapshot_hz: float) -> AsyncIterator[None]:
-        """Hand out snapshots of a flight while the body flies it."""
+    def watch(self, director: Director, snapshot_hz: float) -> None:
+        """Hand out snapshots of a flight from now on, at most so many a second [Hz]."""
         self._maker = SnapshotMaker(director, self, snapshot_hz)
-        task = asyncio.create_task(self._maker.run(), name="snapshots")
-        task.add_done_callback(self._ended)
+        director.in_good_moments = self._maker.good_moment
         self._every(lambda observer: observer.started(director), self._observers)
-        try:
-            yield
-        finally:
-            task.cancel()
-            with suppress(asyncio.CancelledError, Exception):  # told by _ended
-                await task
 
     def wanted(self) -> bool:
         """Tell whether anything reads snapshots now."""
@@ -109,8 +101,3 @@ class Audience:
                         known.remove(observer)
                 text = f"observer {type(observer).__name__} failed and hears no more: {error!r}"
                 self._recorder.event(self._time(), "warning", text)
-
-    def _ended(self, task: asyncio.Task[None]) -> None:
-        error = None if task.cancelled() else task.exception()
-        if error is not None:
-            self._recorder.event(self._time(), "warning", f"no more snapshots: {error!r}")
