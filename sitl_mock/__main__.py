@@ -30,7 +30,13 @@ USAGE_ERROR = 2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the simulator's options to a parser (also to `fg-gcs sim`'s)."""
-    add = parser.add_argument
+    _add_vehicles(parser)
+    _add_sockets(parser)
+    _add_world(parser)
+
+
+def _add_vehicles(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument_group("vehicles").add_argument
     add(
         "--vehicles",
         type=_count,
@@ -39,34 +45,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="number of vehicles (default: as many as --pads has, or 1)",
     )
     add(
-        "--target",
-        type=_target,
-        action="append",
-        metavar="JSON",
-        help='add a vehicle to be followed: a JSON object with "system_id", "kind" ("static", "waypoints", "circle" '
-        'or "figure_eight"), the keys of that kind as in [targets.motion] (see missions/README.md), and, if wanted, '
-        '"rate_hz" and "follow_target"; repeat for more',
-    )
-    add(
         "--autopilot",
         choices=profiles.names(),
         default="px4",
         help="autopilot that the vehicles imitate (default: %(default)s)",
     )
     add(
-        "--remote",
-        type=_address,
-        action="append",
-        metavar="HOST:PORT",
-        help="where telemetry is sent; repeat for more (default: 127.0.0.1:14550)",
-    )
-    add(
-        "--port-base",
-        type=_port,
+        "--system-ids",
+        type=_system_ids,
         default=None,
-        metavar="PORT",
-        help="vehicle k listens on PORT+k, and 3990 lower for each further remote; 0: on any free ports "
-        "(default: 18570 for px4, 0 for ardupilot)",
+        metavar='"1,2,5"',
+        help="MAVLink system id of each vehicle (default: 1, 2, 3 ...)",
     )
     add(
         "--pads",
@@ -82,6 +71,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="spacing of the default grid of pads in metres (default: %(default)s)",
     )
+    add("--real-boot", action="store_true", help="boot as slowly as the real autopilots: px4 4 s, ardupilot 41 s")
+    add(
+        "--target",
+        type=_target,
+        action="append",
+        metavar="JSON",
+        help='add a vehicle to be followed: a JSON object with "system_id", "kind" ("static", "waypoints", "circle" '
+        'or "figure_eight"), the keys of that kind as in [targets.motion] (see missions/README.md), and, if wanted, '
+        '"rate_hz" and "follow_target"; repeat for more',
+    )
+
+
+def _add_sockets(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument_group("sockets and process").add_argument
+    add(
+        "--remote",
+        type=_address,
+        action="append",
+        metavar="HOST:PORT",
+        help="where telemetry is sent; repeat for more (default: 127.0.0.1:14550)",
+    )
+    add(
+        "--port-base",
+        type=_port,
+        default=None,
+        metavar="PORT",
+        help="vehicle k listens on PORT+k, and 3990 lower for each further remote; 0: on any free ports "
+        "(default: 18570 for px4, 0 for ardupilot)",
+    )
+    add("--with-parent", action="store_true", help="exit when standard input ends")
+
+
+def _add_world(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument_group("world").add_argument
     add(
         "--origin",
         type=_origin,
@@ -90,11 +113,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="origin of the world's ENU axes in degrees and metres (default: 47.397742,8.545594,488.0)",
     )
     add(
-        "--system-ids",
-        type=_system_ids,
-        default=None,
-        metavar='"1,2,5"',
-        help="MAVLink system id of each vehicle (default: 1, 2, 3 ...)",
+        "--wind",
+        type=_not_negative,
+        default=0.0,
+        metavar="M_S",
+        help="mean wind speed in m/s, with gusts (default: still air)",
     )
     add("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: %(default)s)")
     add(
@@ -104,15 +127,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         help="simulated seconds per second of real time (default: %(default)s)",
     )
-    add("--real-boot", action="store_true", help="boot as slowly as the real autopilots: px4 4 s, ardupilot 41 s")
-    add(
-        "--wind",
-        type=_not_negative,
-        default=0.0,
-        metavar="M_S",
-        help="mean wind speed in m/s, with gusts (default: still air)",
-    )
-    add("--with-parent", action="store_true", help="exit when standard input ends")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -137,7 +151,6 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
     Raises:
         ValueError: options that contradict each other.
     """
-    from sitl_mock import profiles
     from sitl_mock.host.fleet import grid
     from sitl_mock.host.server import SimulatorOptions
 

@@ -191,9 +191,9 @@ class Autopilot:
         self.change(mode, keep_intention=False)
         return CommandResult.ACCEPTED
 
-    def take_setpoint(self, fields: SetpointFields) -> None:
-        """Act on a position target, as far as the autopilot understands it."""
-        pose = Pose(self.body.time_s, self.local_origin_ned_m, self.body.position_m, self.body.yaw_rad)
+    def take_setpoint(self, fields: SetpointFields, now_s: float) -> None:
+        """Act on a position target that arrives now, as far as the autopilot understands it."""
+        pose = Pose(now_s, self.local_origin_ned_m, self.body.position_m, self.body.yaw_rad)
         self.act_on(self.rules.interpret(fields, pose, self.parameters))
 
     def act_on(self, setpoint: Interpretation) -> None:

@@ -82,11 +82,6 @@ class Pose:
     yaw_rad: float
 
 
-def plus(a: Vec3, b: Vec3) -> Vec3:
-    """The sum of two vectors."""
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-
-
 def turned(v: Vec3, yaw_rad: float) -> Vec3:
     """A vector of the body's heading frame in NED."""
     if yaw_rad == 0.0:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, TypeGuard
 
-from sitl_mock.physics.reference import Vec3
+from sitl_mock.physics.reference import Vec3, plus
 
 State = tuple[Vec3, Vec3]  # position [m; NED], velocity [m/s; NED]
 Course = Callable[[float], State]  # by time since the simulator began [s]
@@ -97,8 +97,8 @@ def _driven(knots: list[tuple[float, Vec3]], start_m: Vec3, round_s: float) -> C
     """Return the motion whose velocity runs evenly from knot to knot, from a place at the first of them."""
     places = [start_m]
     for (earlier_s, one), (later_s, other) in itertools.pairwise(knots):
-        mean = _scaled(_plus(one, other), 0.5)
-        places.append(_plus(places[-1], _scaled(mean, later_s - earlier_s)))
+        mean = _scaled(plus(one, other), 0.5)
+        places.append(plus(places[-1], _scaled(mean, later_s - earlier_s)))
 
     def at(time_s: float) -> State:
         time_s = math.fmod(time_s, round_s) if math.isfinite(round_s) else time_s
@@ -108,8 +108,8 @@ def _driven(knots: list[tuple[float, Vec3]], start_m: Vec3, round_s: float) -> C
         if k + 1 < len(knots):
             length_s = knots[k + 1][0] - knots[k][0]
             change = _minus(knots[k + 1][1], velocity)
-            velocity = _plus(velocity, _scaled(change, passed_s / length_s))
-        return _plus(places[k], _scaled(_plus(knots[k][1], velocity), 0.5 * passed_s)), velocity
+            velocity = plus(velocity, _scaled(change, passed_s / length_s))
+        return plus(places[k], _scaled(plus(knots[k][1], velocity), 0.5 * passed_s)), velocity
 
     return at
 
@@ -117,10 +117,6 @@ def _driven(knots: list[tuple[float, Vec3]], start_m: Vec3, round_s: float) -> C
 def _ned(enu: Vec3) -> Vec3:
     east, north, up = enu
     return (north, east, -up)
-
-
-def _plus(one: Vec3, other: Vec3) -> Vec3:
-    return (one[0] + other[0], one[1] + other[1], one[2] + other[2])
 
 
 def _minus(one: Vec3, other: Vec3) -> Vec3:

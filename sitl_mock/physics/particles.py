@@ -4,7 +4,7 @@
 
 `u` is everything: feed-forward, PID correction, ground, gravity and wind, after all bounds. V: vehicles. World NED has
 its origin on the flat ground (z = 0); NED because the wire and the autopilots think in it, so that only
-`Swarm.positions_enu_m` and its like turn signs.
+`Simulator.positions_enu_m` and its like turn signs.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class Particles:
         """Positions and velocities (V, 3) at a time inside the present step: exact, because u is held.
 
         Args:
-            time_s: not before `time_s` of the swarm and at most one step behind it; else the nearer end is given.
+            time_s: not before `self.time_s` and at most one step behind it; else the nearer end is given.
         """
         ahead_s = min(max(time_s - self.time_s, 0.0), self.physics.time.step_s)
         u = self.acceleration_m_s2
@@ -182,7 +182,7 @@ class Particles:
         return error_m * factor
 
     def _speed_limited(self, wanted_m_s: Array, feed_m_s2: Array) -> tuple[Array, Array]:
-        """SwarmSetpoint velocity within the parameters' limits; where it was cut, no feed-forward pushes outwards."""
+        """The wanted velocity within the parameters' limits; where it was cut, no feed-forward pushes outwards."""
         c = self.commands
         horizontal_m_s = np.hypot(wanted_m_s[:, 0], wanted_m_s[:, 1])
         allowed_m_s = c.speed_m_s + c.speed_headroom_m_s

@@ -13,6 +13,11 @@ ALL: Flags3 = (True, True, True)
 NONE: Flags3 = (False, False, False)
 
 
+def plus(a: Vec3, b: Vec3) -> Vec3:
+    """The sum of two vectors."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
 class Thrust(IntEnum):
     """What the motors do."""
 

@@ -35,12 +35,11 @@ from sitl_mock.autopilot.setpoints import (
     Pose,
     SetpointEffect,
     SetpointFields,
-    plus,
     turned,
 )
 from sitl_mock.messages import CommandResult, Fields, Landed, Outgoing, Received, Severity, SystemStatus
 from sitl_mock.physics.geodesy import Geodetic
-from sitl_mock.physics.reference import ALL, NONE, ZERO, Reference, Vec3
+from sitl_mock.physics.reference import ALL, NONE, ZERO, Reference, Vec3, plus
 from sitl_mock.protocol import commands, services, telemetry
 from sitl_mock.protocol.commands import Command
 from sitl_mock.protocol.dialect import Dialect, Strategy

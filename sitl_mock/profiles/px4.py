@@ -30,11 +30,10 @@ from sitl_mock.autopilot.setpoints import (
     Pose,
     SetpointEffect,
     SetpointFields,
-    plus,
     turned,
 )
 from sitl_mock.messages import CommandResult, Fields, Outgoing, Received, Severity, SystemStatus
-from sitl_mock.physics.reference import Flags3, Reference, Vec3
+from sitl_mock.physics.reference import Flags3, Reference, Vec3, plus
 from sitl_mock.protocol import commands, services, telemetry
 from sitl_mock.protocol.commands import Command, acknowledgement
 from sitl_mock.protocol.dialect import Dialect, Strategy

@@ -37,7 +37,7 @@ def addressed(vehicle: Autopilot, message: Received, system_0: bool) -> bool:
 def _setpoint_local(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     # Both autopilots obey a setpoint to system 0: a broadcast setpoint moves every vehicle.
     if addressed(vehicle, message, system_0=True):
-        vehicle.take_setpoint(SetpointFields.of(message.fields))
+        vehicle.take_setpoint(SetpointFields.of(message.fields), now_s)
 
 
 def setpoint_global(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
@@ -61,7 +61,7 @@ def setpoint_global(vehicle: Autopilot, message: Received, link: int, now_s: flo
         o = vehicle.local_origin_ned_m
         place = (north_m - o[0], east_m - o[1], down_m - o[2])
     fields = {**f, "coordinate_frame": LOCAL_NED, "x": place[0], "y": place[1], "z": place[2]}
-    vehicle.take_setpoint(SetpointFields.of(fields))
+    vehicle.take_setpoint(SetpointFields.of(fields), now_s)
 
 
 def _set_origin(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:

@@ -65,7 +65,7 @@ class Station:
         return self.tick * TICK_S
 
     @property
-    def pilot(self) -> Autopilot:
+    def autopilot(self) -> Autopilot:
         return self.fleet.vehicles[0].autopilot
 
     def vehicle(self, k: int = 0) -> Autopilot:

@@ -69,11 +69,11 @@ def test_px4_offboard_needs_one_fresh_setpoint_when_armed() -> None:
     station = ready("px4")
     station.command(ARM, 1)
     assert station.mode(OFFBOARD) == [ACCEPTED, REJECTED]
-    assert station.pilot.mode.number == LOITER
+    assert station.autopilot.mode.number == LOITER
     assert "Switching to Offboard is currently not available\t" in station.texts()
     station.setpoint(mask=USE_POSITION)
     assert station.mode(OFFBOARD) == [ACCEPTED, ACCEPTED]
-    assert station.pilot.mode.number == OFFBOARD
+    assert station.autopilot.mode.number == OFFBOARD
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_px4_odd_arming() -> None:
     assert station.command(ARM, 2) == []
     assert "Unsupported ARM_DISARM param: 2.000\t" in station.texts()
     assert station.command(ARM, 0.5) == [ACCEPTED]
-    assert station.pilot.armed
+    assert station.autopilot.armed
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_targets(autopilot: str, system: int, component: int, answered: bool) ->
     if autopilot == "ardupilot":
         station.mode(GUIDED)
     assert station.command(ARM, 1, system=system, component=component) == ([ACCEPTED] if answered else [])
-    assert station.pilot.armed is answered
+    assert station.autopilot.armed is answered
 
 
 def test_acknowledgement_goes_to_the_sender() -> None:
@@ -190,7 +190,7 @@ def test_requests(autopilot: str, unknown: int) -> None:
     assert station.command(REQUEST, 49) == [ACCEPTED]
     assert station.messages("GPS_GLOBAL_ORIGIN")
     assert station.command(REQUEST, 148) == [ACCEPTED]
-    assert station.messages("AUTOPILOT_VERSION")[-1].capabilities == station.pilot.profile.capabilities
+    assert station.messages("AUTOPILOT_VERSION")[-1].capabilities == station.autopilot.profile.capabilities
     assert station.command(REQUEST, 9999) == [unknown]
 
 
@@ -207,12 +207,12 @@ def test_ardupilot_data_streams() -> None:
 def test_reposition_by_command_int() -> None:
     station = ready("px4")
     station.fly_to(5.0)
-    place = station.pilot.world.geodetic(10.0, 0.0, -5.0)
+    place = station.autopilot.world.geodetic(10.0, 0.0, -5.0)
     x, y = round(place.latitude_deg * 1e7), round(place.longitude_deg * 1e7)
     message = dialect.MAVLink_command_int_message(1, 1, 0, REPOSITION, 0, 0, -1, 1, 0, 0, x, y, place.altitude_m)
     assert [m.result for m in station.send(message) if m.get_type() == "COMMAND_ACK"] == [ACCEPTED]
     station.run(10.0)
-    assert station.pilot.mode.number == LOITER
+    assert station.autopilot.mode.number == LOITER
     assert station.position_m() == pytest.approx((10.0, 0.0, -5.0), abs=0.2)
 
 

@@ -53,7 +53,7 @@ def stream(station: Station, seconds: float) -> None:
 def flying_in(autopilot: str, mode: str) -> Station:
     """High in the air in a mode, with all failsafes wanted and quick."""
     station = ready(autopilot)
-    vehicle = station.pilot
+    vehicle = station.autopilot
     station.command(ARM, 1, 2989)
     vehicle.airborne = True
     vehicle.guidance.takeoff_height_m = 1000.0  # not reached by itself
@@ -81,7 +81,7 @@ def _bytewise(value: int) -> float:
 
 
 def happen(station: Station, event: ModeEvent) -> None:
-    vehicle = station.pilot
+    vehicle = station.autopilot
     station.heartbeats = event not in (ModeEvent.GCS_LOST, ModeEvent.FAILSAFE_DELAY_OVER)
     keep = vehicle.mode.behaviour is Behaviour.FOLLOW and event is not ModeEvent.STREAM_LOST
     if event is ModeEvent.CLIMBED:
@@ -98,7 +98,7 @@ def happen(station: Station, event: ModeEvent) -> None:
 @pytest.mark.parametrize(("autopilot", "mode", "event"), PAIRS)
 def test_every_mode_and_event(autopilot: str, mode: str, event: ModeEvent) -> None:
     station = flying_in(autopilot, mode)
-    vehicle = station.pilot
+    vehicle = station.autopilot
     happen(station, event)
     assert vehicle.mode.name == EXPECTED.get((autopilot, mode, event), mode)
     assert vehicle.thrust is (Thrust.OFF if event is ModeEvent.DISARMED else Thrust.FLY)
@@ -109,7 +109,7 @@ def test_arming_in_every_mode(autopilot: str) -> None:
     """PX4 refuses with TEMPORARILY_REJECTED, ArduPilot with FAILED, both say why; force overrules."""
     for mode in MODES[autopilot]:
         station = ready(autopilot)
-        vehicle = station.pilot
+        vehicle = station.autopilot
         vehicle.change(mode, keep_intention=False)
         allowed = mode.armable and mode.need is Need.NOTHING
         refusal = 1 if station.px4 else 4
@@ -123,13 +123,13 @@ def test_arming_in_every_mode(autopilot: str) -> None:
 
 def test_px4_flight() -> None:
     station = ready("px4")
-    assert station.pilot.status is SystemStatus.STANDBY
+    assert station.autopilot.status is SystemStatus.STANDBY
     station.setpoint(PLACE, mask=USE_POSITION)
     assert station.mode(OFFBOARD) == [0, 0]  # the blind one, then the truth
     station.command(ARM, 1)
     start_s = station.now_s
     stream(station, 2.9)
-    assert not station.pilot.airborne  # measured: 0.2 m at 3.4 s after arming
+    assert not station.autopilot.airborne  # measured: 0.2 m at 3.4 s after arming
     stream(station, 12.0)
     assert station.height_m() == pytest.approx(5.0, abs=0.1)
     assert station.landed() is Landed.IN_AIR
@@ -138,10 +138,10 @@ def test_px4_flight() -> None:
     land_s = station.now_s
     assert station.command(LAND) == [0]
     stream(station, 1.0)
-    assert station.pilot.mode.number == PX4_LAND  # a commanded LAND wins over the stream
+    assert station.autopilot.mode.number == PX4_LAND  # a commanded LAND wins over the stream
     station.run(20.0)
-    assert not station.pilot.armed
-    assert station.pilot.mode.number == LOITER
+    assert not station.autopilot.armed
+    assert station.autopilot.mode.number == LOITER
     assert station.texts(since_s=land_s)[-2:] == ["Landing detected\t", "Disarmed by landing\t"]
 
 
@@ -166,8 +166,8 @@ def test_ardupilot_flight() -> None:
     station.run(21.0)
     assert station.landed() is Landed.LANDING  # measured: touch-down +20.4, ON_GROUND +22.0, disarmed +22.5
     station.run(3.0)
-    assert not station.pilot.armed
-    assert station.pilot.mode.number == AP_LAND
+    assert not station.autopilot.armed
+    assert station.autopilot.mode.number == AP_LAND
 
 
 def test_setpoints_never_lift_ardupilot_off_and_cancel_its_take_off() -> None:
@@ -182,7 +182,7 @@ def test_setpoints_never_lift_ardupilot_off_and_cancel_its_take_off() -> None:
     station.run(3.0)
     assert station.height_m() == 0.0
     station.run(5.0)
-    assert not station.pilot.armed  # idle
+    assert not station.autopilot.armed  # idle
 
 
 @pytest.mark.parametrize(("autopilot", "before_s", "after_s"), [("px4", 10.9, 11.3), ("ardupilot", 9.7, 10.1)])
@@ -190,9 +190,9 @@ def test_idle_disarm(autopilot: str, before_s: float, after_s: float) -> None:
     station = ready(autopilot)
     station.command(ARM, 1)
     station.run(before_s)
-    assert station.pilot.armed
+    assert station.autopilot.armed
     station.run(after_s - before_s)
-    assert not station.pilot.armed
+    assert not station.autopilot.armed
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
@@ -213,14 +213,14 @@ def test_px4_stream_loss(action: int, mode: str) -> None:
     station.parameter("COM_OBL_RC_ACT", _bytewise(action), 6)
     station.fly_to(5.0)
     station.run(0.9)
-    assert station.pilot.mode.name == "OFFBOARD"
+    assert station.autopilot.mode.name == "OFFBOARD"
     station.run(0.3)
-    assert station.pilot.mode.name == mode
-    assert station.pilot.status is SystemStatus.CRITICAL
+    assert station.autopilot.mode.name == mode
+    assert station.autopilot.status is SystemStatus.CRITICAL
     assert "Failsafe activated\t" in station.texts()
     station.setpoint(PLACE, mask=USE_POSITION)
     station.run(0.04)
-    assert station.pilot.mode.name == "OFFBOARD"  # back without any command
+    assert station.autopilot.mode.name == "OFFBOARD"  # back without any command
 
 
 def test_px4_stream_loss_time_is_a_parameter_and_7_disarms() -> None:
@@ -229,9 +229,9 @@ def test_px4_stream_loss_time_is_a_parameter_and_7_disarms() -> None:
     station.parameter("COM_OBL_RC_ACT", _bytewise(7), 6)
     station.fly_to(5.0)
     station.run(0.4)
-    assert station.pilot.armed
+    assert station.autopilot.armed
     station.run(0.3)
-    assert not station.pilot.armed
+    assert not station.autopilot.armed
 
 
 def test_px4_position_failsafe_sinks_without_a_pilot() -> None:
@@ -242,18 +242,18 @@ def test_px4_position_failsafe_sinks_without_a_pilot() -> None:
     station.run(2.0)
     assert (height_m - station.height_m()) / 2.0 == pytest.approx(0.7, abs=0.05)
     station.run(10.0)
-    assert not station.pilot.armed
-    assert station.pilot.mode.name == "OFFBOARD"  # measured: the intended mode again
+    assert not station.autopilot.armed
+    assert station.autopilot.mode.name == "OFFBOARD"  # measured: the intended mode again
 
 
 def test_px4_sits_armed_under_a_position_setpoint_and_lands_by_velocity() -> None:
     station = ready("px4")
     station.fly_to(5.0)
     station.run(30.0, lambda _: station.setpoint((0.0, 0.0, 5.0), mask=USE_POSITION))
-    assert station.pilot.armed
+    assert station.autopilot.armed
     station.run(6.0, lambda _: station.setpoint(velocity=(0.0, 0.0, 0.7), mask=USE_VELOCITY))
-    assert not station.pilot.armed
-    assert station.pilot.mode.name == "OFFBOARD"
+    assert not station.autopilot.armed
+    assert station.autopilot.mode.name == "OFFBOARD"
 
 
 @pytest.mark.parametrize(("action", "mode"), [(1, AP_RTL), (2, AP_RTL), (3, 21), (5, AP_LAND), (7, BRAKE)])
@@ -263,14 +263,14 @@ def test_ardupilot_gcs_loss(action: int, mode: int) -> None:
     station.fly_to(5.0)
     station.heartbeats = False
     station.run(6.5)
-    assert station.pilot.mode.number == mode
+    assert station.autopilot.mode.number == mode
     assert "GCS Failsafe" in station.texts()
     station.heartbeats = True
     station.run(2.0)
     assert "GCS Failsafe Cleared" in station.texts()
-    assert station.pilot.mode.number == mode  # the mode stays
+    assert station.autopilot.mode.number == mode  # the mode stays
     station.mode(GUIDED)
-    assert station.pilot.mode.number == GUIDED
+    assert station.autopilot.mode.number == GUIDED
 
 
 def test_ardupilot_hears_only_its_own_gcs() -> None:
@@ -279,7 +279,7 @@ def test_ardupilot_hears_only_its_own_gcs() -> None:
     station.fly_to(5.0)
     station.heartbeats = False
     station.run(6.5, lambda _: station.heartbeat(system=254), rate_hz=1.0)
-    assert station.pilot.mode.number == AP_LAND
+    assert station.autopilot.mode.number == AP_LAND
 
 
 @pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
@@ -288,7 +288,7 @@ def test_lost_gcs_is_nothing_by_default(autopilot: str) -> None:
     station.fly_to(5.0)
     station.heartbeats = False
     stream(station, 15.0)
-    assert station.pilot.mode.name == station.pilot.profile.stream_mode
+    assert station.autopilot.mode.name == station.autopilot.profile.stream_mode
 
 
 @pytest.mark.parametrize(("autopilot", "mode", "height_m"), [("px4", PX4_RTL, 30.0), ("ardupilot", AP_RTL, 15.0)])
@@ -300,7 +300,7 @@ def test_return_climbs_comes_home_and_lands(autopilot: str, mode: int, height_m:
     heights: list[float] = []
     station.run(90.0, lambda _: heights.append(station.height_m()), rate_hz=5.0)
     assert max(heights) == pytest.approx(height_m, abs=0.5)
-    assert not station.pilot.armed
+    assert not station.autopilot.armed
     assert station.position_m() == pytest.approx((0.0, 0.0, 0.0), abs=0.5)
 
 

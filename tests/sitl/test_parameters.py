@@ -66,7 +66,7 @@ def test_px4_stores_nan_but_flies_its_default() -> None:
     station = ready("px4")
     (value,) = station.parameter("MPC_XY_VEL_MAX", math.nan)
     assert math.isnan(value.param_value)
-    assert station.pilot.parameters["MPC_XY_VEL_MAX"] == 12.0
+    assert station.autopilot.parameters["MPC_XY_VEL_MAX"] == 12.0
 
 
 @pytest.mark.parametrize(("wish", "stored"), [(1.7, 1.0), (300.0, 127.0), (-1e9, -128.0), (math.inf, 127.0)])

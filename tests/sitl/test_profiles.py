@@ -124,4 +124,4 @@ def test_a_new_autopilot_is_a_module_and_a_file_of_parameters(tmp_path: Path, mo
     station.run(2.0)
     assert (high_m - station.height_m()) / 2.0 == pytest.approx(1.5, abs=0.55)  # 1.5: WPNAV_SPEED_DN, and headroom
     station.run(15.0)
-    assert not station.pilot.armed
+    assert not station.autopilot.armed

@@ -7,10 +7,12 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as dialect
 
 from sitl_mock import profiles
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.autopilot.setpoints import LETHAL, Interpretation, Pose, SetpointEffect, SetpointFields
+from tests.sitl.driver import TICK_S, USE_POSITION, ready
 
 HERE = Pose(now_s=5.0, local_origin_ned_m=(100.0, 0.0, 0.0), position_ned_m=(103.0, 0.0, -10.0), yaw_rad=math.pi / 2)
 NAN = math.nan
@@ -187,3 +189,24 @@ def test_whatever_comes_what_is_flown_is_finite(
         if reference is not None:
             flown = (*reference.position_ned_m, *reference.velocity_ned_m_s, *reference.acceleration_ned_m_s2)
             assert all(map(math.isfinite, (*flown, reference.yaw_rad or 0.0, reference.yaw_rate_rad_s)))
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+@pytest.mark.parametrize("kind", ["local", "global"])
+def test_a_setpoint_runs_on_from_the_instant_it_arrives(autopilot: str, kind: str) -> None:
+    """Not from the last run of the logic, which is up to 20 ms old."""
+    station = ready(autopilot)
+    station.fly_to(5.0)
+    for ticks in (1, 2, 3):
+        station.run(ticks * TICK_S)
+        if kind == "local":
+            station.setpoint((1.0, 2.0, -5.0), mask=USE_POSITION)
+        else:
+            point = station.autopilot.world.geodetic(1.0, 2.0, -5.0)
+            degrees = (round(point.latitude_deg * 1e7), round(point.longitude_deg * 1e7))
+            message = dialect.MAVLink_set_position_target_global_int_message
+            station.send(message(0, 1, 1, 5, USE_POSITION, *degrees, point.altitude_m, *[0.0] * 8))
+        setpoint = station.autopilot.guidance.setpoint
+        assert setpoint is not None
+        assert setpoint.since_s == station.now_s
+        assert setpoint.position_ned_m == pytest.approx((1.0, 2.0, -5.0), abs=0.02)

@@ -77,19 +77,19 @@ def test_common_origin() -> None:
 def test_ardupilot_takes_an_origin_before_it_has_one() -> None:
     station = Station("ardupilot")
     station.run(0.6)
-    point = station.pilot.world.geodetic(-10.0, 0.0, 0.0)
+    point = station.autopilot.world.geodetic(-10.0, 0.0, 0.0)
     message = dialect.MAVLink_set_gps_global_origin_message(
         1, round(point.latitude_deg * 1e7), round(point.longitude_deg * 1e7), round(point.altitude_m * 1e3)
     )
     assert [m.get_type() for m in station.send(message)] == ["GPS_GLOBAL_ORIGIN", "HOME_POSITION"]
-    assert station.pilot.local_origin_ned_m == pytest.approx((-10.0, 0.0, 0.0), abs=QUANTUM_M)
+    assert station.autopilot.local_origin_ned_m == pytest.approx((-10.0, 0.0, 0.0), abs=QUANTUM_M)
 
 
 def test_moving_px4_s_origin_in_flight_moves_the_vehicle() -> None:
     station = ready("px4")
     station.fly_to(5.0)
-    origin = station.pilot.local_origin_ned_m
-    station.pilot.set_origin((origin[0] + 5.0, origin[1], origin[2]))
+    origin = station.autopilot.local_origin_ned_m
+    station.autopilot.set_origin((origin[0] + 5.0, origin[1], origin[2]))
     message = dialect.MAVLink_set_position_target_local_ned_message(
         0, 1, 1, 1, USE_POSITION, -origin[0], -origin[1], -5.0 - origin[2], 0, 0, 0, 0, 0, 0, 0, 0
     )
@@ -172,4 +172,4 @@ def test_px4_reports_its_target() -> None:
     station.fly_to(5.0)
     target = station.messages("POSITION_TARGET_LOCAL_NED")[-1]
     assert target.type_mask == 0
-    assert target.z == pytest.approx(-5.0 - station.pilot.local_origin_ned_m[2], abs=1e-5)
+    assert target.z == pytest.approx(-5.0 - station.autopilot.local_origin_ned_m[2], abs=1e-5)

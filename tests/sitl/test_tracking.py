@@ -197,5 +197,5 @@ def test_wind_is_held_against(autopilot: str, land: int) -> None:
     assert math.dist(station.position_m(), place) > 0.001  # there is wind
     station.mode(land)
     station.run(40.0)
-    assert not station.pilot.armed
+    assert not station.autopilot.armed
     assert math.dist(station.position_m(), (0.0, 0.0, 0.0)) < 1.5
