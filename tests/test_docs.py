@@ -80,6 +80,14 @@ def test_every_cited_paper_is_listed() -> None:
         assert set(re.findall(r"\[(\w+)\]_", source.read_text())) <= listed, name(source)
 
 
+def test_the_page_on_architecture_lists_every_room() -> None:
+    page = (ROOT / "docs/architecture.md").read_text()
+    for package in (ROOT / "fg_gcs", ROOT / "sitl_mock"):
+        for init in package.rglob("__init__.py"):
+            room = init.parent.relative_to(ROOT).as_posix()
+            assert init.parent == package or f"{room.removeprefix('fg_gcs/')}/" in page, room
+
+
 def test_decisions_are_numbered_dated_and_listed() -> None:
     index = (DECISIONS / "README.md").read_text()
     records = sorted(path for path in DECISIONS.glob("*.md") if path.name != "README.md")
