@@ -17,9 +17,9 @@ from fg_gcs.experiment.tables import Cell, Column, ResultTable
 TARGETS = ((40.0, 40.0, 40.0), (-20.0, 20.0, 20.0), (10.0, 10.0, 10.0), (-10.0, 10.0, 10.0))  # those it draws
 
 TEXT = (
-    f"Nine vehicles from rest to rest under norms of {LIMITS.speed_m_s:g} m/s and {LIMITS.acceleration_m_s2:g} "
+    f"Nine vehicles fly from rest to rest, under norms of {LIMITS.speed_m_s:g} m/s and {LIMITS.acceleration_m_s2:g} "
     "m/s². The paper's way bounds each axis by these numbers, so its norms grow beyond them. *Bang-bang* is full "
-    "acceleration and braking along the straight line between the centres, which no turn can keep up with."
+    "acceleration and full braking along the straight line between the centres; no turn is as fast."
 )
 COLUMNS = (
     Column("target [m]"),

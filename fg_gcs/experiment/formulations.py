@@ -26,10 +26,11 @@ REPEATS = 5  # of each scene, the formulations in turn; medians are shown
 
 OPEN = Fence((-ours.OPEN_M,) * 3, (ours.OPEN_M,) * 3)
 TEXT = (
-    "The rigid formulation flies by default; the free one is the paper's own, with the pairs kept apart that it lacks. "
-    "The paper's targets, and fresh draws from the ranges of its sensitivity study at one size: of the draws mean "
-    "lengths and times, and the worst of all else. *Coverage* is the smallest once the face has turned to the target, "
-    "*separation* the closest pair over that of the formation's own shape."
+    "The rigid formulation is the default; the free one is the paper's own, with the separation of pairs that it "
+    "lacks. Both plan to the paper's targets and to fresh draws from the ranges of its sensitivity study, at one "
+    "size. For the draws, lengths and times are means, and all other figures are the worst. *Coverage* is the "
+    "smallest once the face has turned to the target; *separation* is the closest pair, as a share of the "
+    "closest pair in the formation's own shape."
 )
 COLUMNS = (
     Column("target [m]"),

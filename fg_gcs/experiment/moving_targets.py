@@ -47,16 +47,17 @@ CIRCLE, EIGHT, EVADER, LOST, OUTLIERS = (
 DRAWN: Final = (CIRCLE, EIGHT, EVADER, LOST)
 
 TEXT = (
-    "Nine vehicles from rest under norms of 10 m/s and 5 m/s², a sensor of 10 Hz with 0.5 m along each axis and 100 ms "
-    "delay. What planning alone makes of it: 60 s with vehicles that follow perfectly, for several seeds of the "
-    "sensor's noise (and of the evader's way), the median of the seeds and the worst. *Error* is the distance of the "
-    "formation's centre from the true target, from 2 s after the capture to the end; *coverage* the smallest on the "
-    "way to it, once the face has turned to the target. Steps are those between setpoints 20 ms apart that their "
-    "velocities, or the limit of the acceleration, do not explain."
+    "Nine vehicles start from rest, under norms of 10 m/s and 5 m/s², with a sensor of 10 Hz, 0.5 m along each "
+    "axis and 100 ms delay. These are figures of planning alone: 60 s with vehicles that follow perfectly, for "
+    "several seeds of the sensor's noise (and of the evader's motion); the table has the median of the seeds and "
+    "the worst. *Error* is the distance of the formation's centre from the true target, from 2 s after the "
+    "capture to the end. *Coverage* is the smallest on the way to the target, once the face has turned to it. "
+    "*Steps* are changes between setpoints 20 ms apart that neither their velocities nor the limit of "
+    "acceleration explain."
 )
 REPLANS_TEXT = (
-    "Time to plan a better trajectory after a sighting, over the kinematic simulations of the circle. Times are of the "
-    "machine and the run that wrote this page."
+    "Time to find a better trajectory after a sighting, over the kinematic simulations of the circle. Times "
+    "belong to the machine and the run that wrote this page."
 )
 COLUMNS = (
     Column("target"),
@@ -118,7 +119,7 @@ class Course(NamedTuple):
 
 
 def courses() -> tuple[Course, ...]:
-    """Return what is rehearsed, in the order of the table."""
+    """Return what is simulated, in the order of the table."""
     circle = Circle((0.0, 0.0, HEIGHT_M), 50.0, 4.0)
     eight = FigureEight((30.0, 0.0, HEIGHT_M), 80.0, 5.0, 30.0)
     rms = "error, rms [m]"
@@ -186,7 +187,7 @@ def replan_table(durations_ms: Mapping[int, Sequence[float]]) -> ResultTable:
 def simulate_all(
     stopwatch: Stopwatch, progress: Progress, seeds: int = SEEDS, seconds: float = SECONDS
 ) -> dict[str, list[KinematicSimulation]]:
-    """Rehearse every course with every seed; by the courses' names."""
+    """Simulate every course with every seed; by the courses' names."""
     simulated: dict[str, list[KinematicSimulation]] = {}
     for course in courses():
         progress(f"moving: {course.name}")
@@ -200,7 +201,7 @@ def replan_durations_ms(
     progress: Progress,
     seconds: float = SECONDS,
 ) -> dict[int, list[float]]:
-    """Return how long each look for a trajectory took, by the number of vehicles; for the many it is rehearsed here."""
+    """Return how long each replan took, by the number of vehicles; the larger number is simulated here."""
     progress(f"moving: {MANY} vehicles")
     crowd = run(courses()[0], many(), 0, seconds, stopwatch)
     return {9: durations_ms(simulated[CIRCLE]), MANY: durations_ms([crowd])}
@@ -212,7 +213,7 @@ def durations_ms(simulations: Sequence[KinematicSimulation]) -> list[float]:
 
 
 def run(course: Course, swarm: Swarm, seed: int, seconds: float, stopwatch: Stopwatch) -> KinematicSimulation:
-    """Rehearse a course once; seeds 0 or more."""
+    """Simulate a course once; seeds 0 or more."""
     name = "target"
     tracking = TrackingSettings({name: 1.0}, Settings(), most_radius_m=MOST_RADIUS_M)
     start = Pose(np.array([0.0, 0.0, 15.0]), facing(np.array([1.0, 0.0, 0.0])))

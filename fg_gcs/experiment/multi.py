@@ -13,9 +13,9 @@ from fg_gcs.experiment.tables import Column, ResultTable
 SEED = 2103  # arbitrary; the paper prints none
 
 TEXT = (
-    "Ten targets from N(200, 100) m in every axis, seeded. The source stands at their mean, and the square grows "
-    "from 5 m to `(2 d_max + 10 m) / sqrt(2)`. The paper publishes a figure of this, but no numbers. *Held* "
-    "counts the targets within the circle through the leaders, turned to a ball."
+    "Ten targets drawn from N(200, 100) m along every axis, seeded. The source of flux stands at their mean, and "
+    "the square grows from 5 m to `(2 d_max + 10 m) / sqrt(2)`. The paper publishes a figure of this case, but "
+    "no numbers. *Held* counts the targets inside the ball whose great circle passes through the leaders."
 )
 COLUMNS = (
     Column("what"),

@@ -28,16 +28,16 @@ HEADING = """\
 # Results
 
 The experiments of the paper ([Hartley2021], see [references.md](references.md)) beside its published numbers, and
-moving targets beside what is required. *Paper's way here* is the paper's method with general tools (SciPy
-`trust-constr` with a central-difference gradient, per-axis timing by toppra), written from its text and run beside
-ours. This page is written by `fg-gcs experiment all`; do not edit it. Times belong to the machine and the run that
-wrote it and are rounded to two digits; all else is the same in every run with the same versions of the libraries.
-Speed ratios are measured more carefully by `fg-gcs bench plan`.
+moving targets beside what is required of them. *Paper's way here* is the paper's method with general tools (SciPy's
+`trust-constr` with a central-difference gradient, timing of each axis by toppra), written from its text and run
+beside ours. `fg-gcs experiment all` writes this page; do not edit it. Times belong to the machine and the run that
+wrote it and are rounded to two digits; everything else is the same in every run with the same versions of the
+libraries. `fg-gcs bench plan` measures ratios of speed more carefully.
 """
 
 
 class Picture(NamedTuple):
-    """One figure of the page."""
+    """One picture of the page."""
 
     name: str  # of its files, without ending
     text: str
@@ -76,7 +76,7 @@ def run_figures(stopwatch: Stopwatch, progress: Progress, out: Path) -> Experime
 
 
 def run_moving(stopwatch: Stopwatch, progress: Progress, out: Path, seeds: int = SEEDS) -> ExperimentResult:
-    """Rehearse tracking with several seeds, and draw the first one's ways and errors into ``out/figures``."""
+    """Simulate tracking with several seeds, and draw the first one's tracks and errors into ``out/figures``."""
     from fg_gcs.experiment import drawings  # matplotlib takes half a second to load, and tables do not need it
 
     folder = out / "figures"

@@ -16,9 +16,9 @@ from fg_gcs.experiment.tables import Cell, Column, ResultTable
 DRAWS, SEED = 100, 2103  # as many as the paper's; the seed is arbitrary
 
 ROWS_TEXT = (
-    "The printed rows, each from a square with the printed separation as its edge to one of twice the target's radius. "
-    "Solving times are those of the search alone; those of *here* and *ours* are of the machine and the run that wrote "
-    "this page."
+    "The printed rows; each goes from a square whose edge is the printed separation to a square whose edge is "
+    "twice the target's radius. Solving times are those of the search alone; those of *here* and *ours* belong "
+    "to the machine and the run that wrote this page."
 )
 ROWS = (
     Column("target [m]"),

@@ -13,11 +13,11 @@ from fg_gcs.experiment.scenes import LEADERS, scene
 from fg_gcs.experiment.tables import Cell, Column, ResultTable
 
 TEXT = (
-    "Way of the four leaders together, from a 5 m square that looks along +x. The published lengths stand beside "
-    "targets of 40 m, but belong to these. *Here* is the paper's method written anew: least squares as printed, "
-    "flux guiding by SciPy's `trust-constr`, which wanders a little differently with each version of SciPy. "
-    "*Coverage* is the smallest flux of ours after the first turn, as a share of the largest possible at that "
-    "distance."
+    "Length of the paths of the four leaders together, from a 5 m square that faces +x. The paper prints these "
+    "lengths beside targets at 40 m, but they belong to the targets below. *Here* is the paper's method, written "
+    "anew: least squares as printed, and flux guiding by SciPy's `trust-constr`, whose path differs a little "
+    "with each version of SciPy. *Coverage* is the smallest flux of our path after the first turn, as a share of "
+    "the largest flux possible at that distance."
 )
 COLUMNS = (
     Column("target [m]"),

@@ -13,8 +13,8 @@ from fg_gcs.experiment.tables import Cell, Column, ResultTable
 REPEATS = 3  # the two ways in turn, as often; medians are shown
 
 TEXT = (
-    "Time to plan nine vehicles, from the start to checked trajectories; published, and both ways in one process, in "
-    "turn. Times of *here* and *ours* are of the machine and the run that wrote this page."
+    "Time to plan for nine vehicles, from the start pose to verified trajectories: as published, and both ways "
+    "in one process, in turn. Times of *here* and *ours* belong to the machine and the run that wrote this page."
 )
 COLUMNS = (
     Column("target [m]"),

@@ -1,7 +1,7 @@
 """Sightings: where a target was when, how sure that is, and how they are read from datagrams and files.
 
-Whatever comes in a datagram, reading it never raises: what cannot be used is counted by its reason. A file is somebody
-asking for something, so the first thing wrong with it ends the reading, in one clear line.
+Whatever comes in a datagram, reading it never raises: what cannot be used is counted by its reason. A file is named on
+purpose, so the first thing wrong with it ends the reading, in one clear line.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Verdict(Enum):
     TENTATIVE = "held until others agree with it"
     MALFORMED = "not a sighting in the agreed form"
     NOT_FINITE = "has a number that is not finite"
-    BAD_COVARIANCE = "its covariance is none, or says nothing"
+    BAD_COVARIANCE = "its covariance is invalid, or too large to be of use"
     UNKNOWN_TARGET = "names a target that the mission does not have"
     FUTURE = "its stamp lies in the future"
     TOO_OLD = "its stamp lies too far in the past"
@@ -124,7 +124,7 @@ def parse_csv(data: bytes, name: str, sigma_m: float) -> list[Sighting]:
     except (csv.Error, ValueError) as error:
         raise MissionError(f"{name}: line {rows.line_num}: {error}") from error
     if not sightings:
-        raise MissionError(f"{name}: line {len(lines)}: no sighting in it; accepted: one line each below the header")
+        raise MissionError(f"{name}: line {len(lines)}: no sighting; accepted: a header and one line for each sighting")
     return sightings
 
 

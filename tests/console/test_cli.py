@@ -118,7 +118,7 @@ def test_check_names_each_file_and_fails_if_one_is_bad(tmp_path: Path, capsys: p
     assert main(["check", str(MISSIONS / "demo.toml")]) == 0
     assert main(["check", str(MISSIONS / "demo.toml"), str(bad), str(unplannable)]) == 2
     said = capsys.readouterr().err
-    assert f"{bad}: [swarm] vehicles: 8 vehicles for 9 slots" in said
+    assert f"{bad}: [swarm] vehicles: 8 vehicles, but the formation has 9 slots" in said
     assert f"{unplannable}: the formation does not fit around the target" in said
 
 

@@ -11,12 +11,14 @@ from typing import NamedTuple, get_args
 import pytest
 from pydantic.fields import FieldInfo
 
+from fg_gcs.console.cli import main
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.mission.tables import MissionTable
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 TEXT = (MISSIONS / "README.md").read_text()
+SMALLEST = TEXT.partition("```toml\n")[2].partition("```")[0]
 TOP = "top of the file"
 ARRAYS = ("targets",)  # written with double brackets
 UNITS = {"deg": "°", "hz": "Hz", "m": "m", "s": "s", "m_s": "m/s", "m_s2": "m/s²", "m_s3": "m/s³"}
@@ -100,18 +102,23 @@ def test_every_key_has_a_description_for_errors() -> None:
 
 
 def test_the_smallest_mission_is_valid_and_has_no_key_too_many(tmp_path: Path) -> None:
-    smallest = re.search(r"```toml\n(.*?)```", TEXT, re.DOTALL)
-    assert smallest is not None
     path = tmp_path / "smallest.toml"
-    path.write_text(smallest[1])
+    path.write_text(SMALLEST)
     mission = load_mission(path)
     assert mission.swarm.vehicles == len(mission.task().formation.slots_m) == 4
-    lines = smallest[1].splitlines()
+    lines = SMALLEST.splitlines()
     for number, line in enumerate(lines):
         if "=" in line:
             path.write_text("\n".join(lines[:number] + lines[number + 1 :]))
             with pytest.raises(MissionError, match="missing; accepted: "):
                 load_mission(path)
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_the_smallest_mission_flies(autopilot: str, tmp_path: Path) -> None:
+    path = tmp_path / "smallest.toml"
+    path.write_text(SMALLEST)
+    assert main(["fly", str(path), "--speed", "max", "--autopilot", autopilot, "--logs", str(tmp_path)]) == 0
 
 
 def test_every_mission_of_the_folder_is_listed() -> None:

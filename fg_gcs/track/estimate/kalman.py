@@ -212,7 +212,7 @@ def update(mean: Array, covariance: Array, position: Array, noise: Array) -> tup
 def steadied(mean: Array, covariance: Array, step: float) -> None:
     """Update mean, (3, 3), and covariance, (9, 9), in place by the knowledge that the speed in a turn is steady.
 
-    A measurement that nobody made: no acceleration along the velocity [AlouaniBlair1993]_. Its variance shrinks with
+    A pseudo-measurement: no acceleration along the velocity [AlouaniBlair1993]_. Its variance shrinks with
     the step that passed, so that more sightings do not make it more certain.
     """
     speed = math.sqrt(mean[1] @ mean[1])

@@ -90,7 +90,7 @@ def _swarm(centre: Array, arms: Array, slots: Array) -> tuple[Array, Array, Arra
 
 @kernel
 def _turned(axes: Array, arms: Array) -> None:
-    """Fill ``arms``, (T, 3, 3, 3), with scale times rotation and its derivatives; ``w``, ``g``: rate and its growth."""
+    """Fill ``arms``, (T, 3, 3, 3), with scale times rotation and its derivatives; ``w`` is the turning rate."""
     swing, bend = np.empty((3, 3)), np.empty((3, 3))
     for i in range(len(axes)):
         f = (axes[i, 0, 3], axes[i, 0, 4], axes[i, 0, 5])
