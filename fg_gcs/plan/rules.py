@@ -1,4 +1,4 @@
-"""The one place where motion is judged: shares of the limits that it uses, what leaves the fence, which pairs are close.
+"""The one place where motion is judged: shares of the limits, excess over the fence, pairs that are too close.
 
 Planning, following, flight, experiments and the loading of missions all ask here, so that they cannot disagree on what
 a limit bounds, or on what still counts as rounding.
