@@ -16,6 +16,8 @@ from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
 from fg_gcs.track.follow.replanner import RUN_ON_S, WORTH_S, FollowMode, Goal, Replan, Replanner, Swarm
 from fg_gcs.track.sightings import Sighting, Verdict
 
+QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same: what is unknown grows
+
 
 @dataclass(frozen=True)
 class TrackingSettings:

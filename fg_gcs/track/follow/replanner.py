@@ -32,7 +32,7 @@ from fg_gcs.track.follow.formation_frames import State
 Shares = tuple[float, float, float]
 
 JERK_M_S3 = 12.0  # where the mission states none: from rest to 5 m/s^2 within half a second
-FACING = 0.9  # cosine between normal and target below which the face turns first and moves then
+TOWARDS = 0.9  # cosine between normal and target below which the face turns first and moves then
 CLOSEST_M = 0.1  # as if a vehicle were so far from the centre: a swarm on one spot may spin
 UPRIGHT = 0.5  # share of climb and descent for each axis of a turn that lifts vehicles on one side of the formation
 SWING = 0.1  # angle by which a turn may swing on while the formation moves [rad]: a faster one ends on the spot
@@ -219,7 +219,7 @@ class Replanner:
         radius_m = self._reach_m * float(state.axes[0, 6])
         push = EFFORTS[0].turn * self._swarm.rules.limits.acceleration_m_s2 / max(radius_m, CLOSEST_M)
         swings = float((state.axes[1, 3:6] ** 2).sum()) > 2.0 * push * SWING
-        faces = float(way @ state.attitude[:, 0]) > FACING * distance
+        faces = float(way @ state.attitude[:, 0]) > TOWARDS * distance
         return distance < BESIDE_RADII * radius_m or (faces and not (swings and self.mode is FollowMode.TURN))
 
     def _stopped(self, state: State, attitude: Array, scale: float, now_s: float) -> FailSafeTrajectory | None:

@@ -10,12 +10,13 @@ from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.formation import Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.run.kinematic import HOLDING, QUIET_S, TICK_S, KinematicSimulation, simulate_kinematics
+from fg_gcs.record.evaluate.tracking import HOLDING
+from fg_gcs.run.kinematic import TICK_S, KinematicSimulation, simulate_kinematics
 from fg_gcs.scenario.motions import Circle, Static, TrueMotion
 from fg_gcs.scenario.sensor import Sensor, SensorSettings
 from fg_gcs.track.estimate.estimator import Settings
 from fg_gcs.track.follow.replanner import RUN_ON_S, FollowMode, Swarm
-from fg_gcs.track.following_core import FollowingCore, TrackingSettings
+from fg_gcs.track.following_core import QUIET_S, FollowingCore, TrackingSettings
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
 FORMATION = hemisphere(4, 1, 6.0)
