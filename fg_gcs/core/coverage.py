@@ -44,7 +44,7 @@ def coverage(rims_enu_m: Array, sources_enu_m: Array) -> Array:
 
 
 def least_after_facing(covered: Array) -> float | None:
-    """Return the smallest coverage over time, shape (T,), since the face was first turned to its source; None: never."""
+    """Return the least coverage over time, shape (T,), since the face first was turned to the source; None: never."""
     facing = np.flatnonzero(covered >= FACING)
     return float(covered[facing[0] :].min()) if len(facing) else None
 

@@ -50,7 +50,6 @@ class Planned:
     """A scene with its path and plan."""
 
     scene: Scene
-    flux_path: FluxPath
     path: PosePath
     plan: CheckedPlan
 
@@ -80,7 +79,7 @@ def plan_formation(scene: Scene, formation: Formation) -> Planned:
     trajectory = timed(path, LIMITS)
     smallest_m = formation.smallest_separation_m * min(1.0, scene.last_scale)
     rules = Rules(LIMITS, SEPARATION_SHARE * smallest_m, Fence((-OPEN_M,) * 3, (OPEN_M,) * 3))
-    return Planned(scene, found, path, check([trajectory], rules, scene.target_enu_m))
+    return Planned(scene, path, check([trajectory], rules, scene.target_enu_m))
 
 
 def path_figures(scene: Scene, path: SwarmPath) -> PathFigures:

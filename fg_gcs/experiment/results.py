@@ -76,7 +76,7 @@ def run_figures(stopwatch: Stopwatch, progress: Progress, out: Path) -> Experime
 
 
 def run_moving(stopwatch: Stopwatch, progress: Progress, out: Path, seeds: int = SEEDS) -> ExperimentResult:
-    """Rehearse tracking with several seeds, and draw the first one's ways and errors into ``out/figures``."""
+    """Simulate tracking with several seeds, and draw the first one's ways and errors into ``out/figures``."""
     from fg_gcs.experiment import drawings  # matplotlib takes half a second to load, and tables do not need it
 
     folder = out / "figures"

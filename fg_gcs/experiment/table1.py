@@ -13,7 +13,7 @@ from fg_gcs.experiment.scenes import LEADERS, scene
 from fg_gcs.experiment.tables import Cell, Column, ResultTable
 
 TEXT = (
-    "Way of the four leaders together, from a 5 m square that looks along +x. The published lengths stand beside "
+    "Way of the four leaders together, from a 5 m square that faces +x. The published lengths stand beside "
     "targets of 40 m, but belong to these. *Here* is the paper's method written anew: least squares as printed, "
     "flux guiding by SciPy's `trust-constr`, which wanders a little differently with each version of SciPy. "
     "*Coverage* is the smallest flux of ours after the first turn, as a share of the largest possible at that "

@@ -35,7 +35,7 @@ TICK_S = 1.0 / SETPOINTS_HZ
 
 
 class Replanned(NamedTuple):
-    """One look for a better trajectory."""
+    """One attempt at a better trajectory."""
 
     time_s: float
     mode: FollowMode
@@ -134,7 +134,7 @@ class KinematicSimulation:
         )
 
     def _coverage_on_the_way(self, rims: Array) -> float | None:
-        """The smallest from when the face first looks at the target until it is caught."""
+        """The smallest from when it first faces the target until it is caught."""
         if self.caught_s is None:
             return None
         way = self.time_s < self.caught_s
@@ -177,7 +177,7 @@ def simulate_kinematics(
         tracking: what is tracked, and how.
         start: where the formation rests at time 0.
         motions: true ones by the names of all targets that are tracked.
-        sensors: who looks at them.
+        sensors: what they are measured by.
         seconds: how long, two ticks or more.
         stopwatch: returns seconds, for the durations of replanning alone.
     """
@@ -232,6 +232,6 @@ def simulate_kinematics(
 
 
 def _arrivals(motions: Mapping[str, TrueMotion], sensors: Sequence[Sensor]) -> Iterator[Measurement]:
-    """All looks of all sensors for ever, in the order of arrival."""
+    """All measurements of all sensors for ever, in the order of arrival."""
     each = (sensor.measurements(motions[sensor.target]) for sensor in sensors)
-    return heapq.merge(*each, key=lambda look: look.received_s)
+    return heapq.merge(*each, key=lambda each: each.received_s)

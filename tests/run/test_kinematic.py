@@ -58,7 +58,7 @@ def test_a_target_at_rest_is_caught_held_and_nothing_is_broken() -> None:
     assert run.place_m[0] == pytest.approx(START.centre_enu_m - [1.0, 0.0, 0.0])
 
 
-def test_the_same_seed_gives_the_same_rehearsal_and_another_one_another() -> None:
+def test_the_same_seed_gives_the_same_simulation_and_another_one_another() -> None:
     one, same, other = (simulated({"boat": ROUND}, seconds=6.0, seed=seed) for seed in (1, 1, 2))
     assert np.array_equal(one.position_m, same.position_m)
     assert one.replans == same.replans
