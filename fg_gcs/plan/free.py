@@ -83,7 +83,7 @@ def plan_leaders(formation: Formation, start: Pose, target_enu_m: Array, hold_de
     return LeaderPath(leaders, poses, steps)
 
 
-def shape_of(formation: Formation, scale: float = 1.0) -> Shape:
+def shape_of(formation: Formation, scale: float) -> Shape:
     """Return the edges to hold and the pairs to keep apart."""
     slots, count = scale * formation.slots_m, len(formation.leaders_m)
     size = scale * formation.gyration_m
