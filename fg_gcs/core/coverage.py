@@ -1,4 +1,4 @@
-"""How well a face looks at a source: flux metric and coverage."""
+"""How well a face covers a source: flux metric and coverage."""
 
 from __future__ import annotations
 
@@ -41,6 +41,12 @@ def coverage(rims_enu_m: Array, sources_enu_m: Array) -> Array:
     distances = np.linalg.norm(np.asarray(sources_enu_m) - centres, axis=1)
     best = solid_angle.flux(rims_enu_m, (centres + distances[:, None] * normals(rims_enu_m))[:, None, :])
     return np.clip(_flux(rims_enu_m, sources_enu_m) / np.maximum(best, np.finfo(float).tiny), 0.0, 1.0)
+
+
+def least_after_facing(covered: Array) -> float | None:
+    """Return the least coverage over time, shape (T,), since the face first was turned to the source; None: never."""
+    facing = np.flatnonzero(covered >= FACING)
+    return float(covered[facing[0] :].min()) if len(facing) else None
 
 
 def normals(rims: Array) -> Array:

@@ -132,7 +132,7 @@ def hemisphere(leaders: int, followers: int, edge_m: float) -> Formation:
 def facing(normal_enu: Array, up_enu: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Array:
     """Return the attitude whose normal is given and whose z axis leans towards ``up_enu``, shape (3, 3).
 
-    A normal along ``up_enu`` leaves the lean open; then y is east, or north where east will not do.
+    A normal along ``up_enu`` leaves the lean open; then z leans north, or east where the normal runs along both.
 
     Raises:
         ValueError: the normal has no direction.

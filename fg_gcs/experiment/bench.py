@@ -15,8 +15,8 @@ import numpy as np
 
 from fg_gcs.experiment import ours
 from fg_gcs.experiment.baseline import Progress, Stopwatch, run_paper_way, seconds
-from fg_gcs.experiment.growth import followers_ms, leaders_ratio, memory_mb
 from fg_gcs.experiment.optimum import shortest_duration_s
+from fg_gcs.experiment.scaling import followers_ms, leaders_ratio, memory_mb
 from fg_gcs.experiment.scenes import LIMITS, TARGETS, Scene, draws, printed_rows, scene
 
 SEED = 2103  # arbitrary
@@ -101,7 +101,7 @@ def bench_plan(stopwatch: Stopwatch, progress: Progress, size: Size | None = Non
     drawn = [ours.path_figures(made, ours.plan(made).path) for made in scenes]
     progress(f"{chosen.draws} random scenes with freely moving leaders")
     freed = [ours.free_separation_ratio(made) for made in scenes]
-    progress("growth with leaders and followers")
+    progress("scaling with leaders and followers")
     speedups = [race.their_search / race.our_search for race in races]
     return PlanBench(
         fg_speedup_median=median(speedups),

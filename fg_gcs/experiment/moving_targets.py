@@ -1,6 +1,6 @@
 """Moving targets: what planning alone makes of sightings, beside what is required of it.
 
-Rehearsals, not flights: the vehicles follow perfectly. Whole flights are measured by ``fg-gcs bench track``.
+Kinematic simulations, not flights: the vehicles follow perfectly. Whole flights are measured by ``fg-gcs bench track``.
 """
 
 from __future__ import annotations
@@ -18,21 +18,19 @@ from fg_gcs.core.separation import Fence
 from fg_gcs.experiment.baseline import Progress, Stopwatch
 from fg_gcs.experiment.scenes import FOLLOWERS, LEADERS, LIMITS
 from fg_gcs.experiment.tables import Cell, Column, ResultTable
+from fg_gcs.mission.target_tables import TrackTable
 from fg_gcs.plan.limits import Rules
 from fg_gcs.run.kinematic import Figures, KinematicSimulation, simulate_kinematics
 from fg_gcs.scenario.motions import Circle, FigureEight, TrueMotion
 from fg_gcs.scenario.random_walk import RandomWalk
 from fg_gcs.scenario.sensor import Sensor, SensorSettings
-from fg_gcs.track.estimate.estimator import Settings
 from fg_gcs.track.follow.replanner import Swarm
-from fg_gcs.track.following_core import TrackingSettings
 
 SECONDS = 60.0  # of a kinematic simulation: three quarters of the circle, after a capture within twenty seconds
 SEEDS = 8  # of sensors and of the evader; they count from 0
 EDGE_M, DEPTH_M, SEPARATION_M = 6.0, 1.0, 1.5  # as in the missions that fly the same
 HEIGHT_M, REACH_M = 18.0, 100.0
 SILENCE_S = (25.0, 33.0)  # of the target that is lost, when every kinematic simulation has caught it
-MOST_RADIUS_M = 12.0  # that the formation grows for, as missions have it where they say nothing
 MANY = 100  # vehicles of the second swarm
 
 CLEAN: Final = SensorSettings()
@@ -215,7 +213,7 @@ def durations_ms(simulations: Sequence[KinematicSimulation]) -> list[float]:
 def run(course: Course, swarm: Swarm, seed: int, seconds: float, stopwatch: Stopwatch) -> KinematicSimulation:
     """Simulate a course once; seeds 0 or more."""
     name = "target"
-    tracking = TrackingSettings({name: 1.0}, Settings(), most_radius_m=MOST_RADIUS_M)
+    tracking = TrackTable().settings({name: 1.0})  # as in flight, where a mission says nothing
     start = Pose(np.array([0.0, 0.0, 15.0]), facing(np.array([1.0, 0.0, 0.0])))
     sensors = [Sensor(name, course.sensor, seed)]
     return simulate_kinematics(swarm, tracking, start, {name: course.motion(seed)}, sensors, seconds, stopwatch)

@@ -28,7 +28,7 @@ def shortest_duration_s(path: SwarmPath, limits: Limits) -> float:
 
     Args:
         path: of at least one vehicle; a path of no length takes no time.
-        limits: climb and descent are not looked at.
+        limits: climb and descent are left out.
     """
     if path.length_m == 0.0:
         return 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.coverage import FACING, coverage, flux_metric
+from fg_gcs.core.coverage import coverage, flux_metric, least_after_facing
 from fg_gcs.core.formation import Formation
 from fg_gcs.core.separation import Fence
 from fg_gcs.experiment.scenes import LEADERS, LIMITS, Scene
@@ -50,7 +50,6 @@ class Planned:
     """A scene with its path and plan."""
 
     scene: Scene
-    flux_path: FluxPath
     path: PosePath
     plan: CheckedPlan
 
@@ -80,7 +79,7 @@ def plan_formation(scene: Scene, formation: Formation) -> Planned:
     trajectory = timed(path, LIMITS)
     smallest_m = formation.smallest_separation_m * min(1.0, scene.last_scale)
     rules = Rules(LIMITS, SEPARATION_SHARE * smallest_m, Fence((-OPEN_M,) * 3, (OPEN_M,) * 3))
-    return Planned(scene, found, path, check([trajectory], rules, scene.target_enu_m))
+    return Planned(scene, path, check([trajectory], rules, scene.target_enu_m))
 
 
 def path_figures(scene: Scene, path: SwarmPath) -> PathFigures:
@@ -89,11 +88,10 @@ def path_figures(scene: Scene, path: SwarmPath) -> PathFigures:
     places = path.at(np.linspace(0.0, path.length_m, count)).position_m  # (S, V, 3)
     rims = places[:, :LEADERS]
     covered = coverage(rims, scene.target_enu_m)
-    facing = np.flatnonzero(covered >= FACING)
     return PathFigures(
         length_m=float(np.linalg.norm(np.diff(rims, axis=0), axis=2).sum()),
         flux_metric=float(flux_metric(rims[-1:], scene.target_enu_m)[0]),
-        coverage_after_facing=float(covered[facing[0] :].min()) if len(facing) else 0.0,
+        coverage_after_facing=least_after_facing(covered) or 0.0,
         separation_ratio=separation_ratio(places, scene.formation),
     )
 

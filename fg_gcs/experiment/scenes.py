@@ -34,7 +34,7 @@ MARGIN_M = 10.0  # of the face around several targets
 
 @dataclass(frozen=True)
 class Scene:
-    """A square in the plane x = 0, one corner in the origin, looking along +x; and what it shall surround."""
+    """A square in the plane x = 0, one corner in the origin, facing +x; and what it shall surround."""
 
     name: str
     target_enu_m: Array  # (3,) [m]

@@ -17,17 +17,15 @@ from fg_gcs.flight.motions import FormationMotion, Gaze, Headings
 from fg_gcs.flight.planning import LATE_S, Planning
 from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, SightingSources
 from fg_gcs.flight.streamer import Streamer
-from fg_gcs.mission.model import Mission
+from fg_gcs.mission.model import SETPOINTS_HZ, Mission
 from fg_gcs.plan.flight_plan import Task
-from fg_gcs.track.estimate.estimator import Settings
 from fg_gcs.track.estimate.group import GroupEstimate
 from fg_gcs.track.follow.replanner import FollowMode, Goal, Replan, Swarm
-from fg_gcs.track.following_core import FollowingCore, TrackingSettings
+from fg_gcs.track.following_core import QUIET_S, FollowingCore
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
-QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same: what is unknown grows
 LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before everybody goes home for it
-TRUTH_S = 0.02  # between instants for which true positions are written down: the stream's usual period
+TRUTH_S = 1.0 / SETPOINTS_HZ  # between instants for which true positions are written down
 KEPT = frozenset({Verdict.TAKEN, Verdict.TENTATIVE})  # any other verdict is a refusal
 
 
@@ -88,7 +86,7 @@ class TargetFollower:
         simulated_endpoint: str = SIMULATED_ENDPOINT,
     ) -> None:
         self._swarm = Swarm(task.formation, slots_m, task.hold_depth_m, task.rules)
-        self._settings = _tracking(mission)
+        self._settings = mission.tracking()
         self._names = list(self._settings.weights)
         self._track = mission.track
         self._task = task
@@ -362,7 +360,7 @@ def warm_up(mission: Mission) -> None:
     """
     task = mission.task()
     swarm = Swarm(task.formation, task.formation.slots_m, task.hold_depth_m, task.rules)
-    core = FollowingCore(swarm, _tracking(mission), task.start, 0.0)
+    core = FollowingCore(swarm, mission.tracking(), task.start, 0.0)
     for stamp_s in (0.0, 0.1, 0.2, 0.3):
         for target in mission.targets or ():
             sighting = Sighting(target.name, stamp_s, target.first_enu_m(), isotropic(0.5), stamp_s)
@@ -373,10 +371,3 @@ def warm_up(mission: Mission) -> None:
     headings = Headings(0.0, np.zeros(len(rows)))
     FormationMotion.beginning(rows, swarm.slots_m, core.trajectory, np.zeros(3), headings).at(1.0)
     core.replanner.stop(99.0)
-
-
-def _tracking(mission: Mission) -> TrackingSettings:
-    track = mission.track
-    weights = {target.name: target.weight for target in mission.targets or ()}
-    settings = Settings(model=track.model, lost_after_s=track.lost_after_s)
-    return TrackingSettings(weights, settings, track.capture_m, track.confidence, track.most_radius_m)

@@ -30,7 +30,9 @@ from fg_gcs.plan.flight_plan import Task
 from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.targets import Charges, Target, centre_of_charge, effective_radius_m, uncertain
+from fg_gcs.track.following_core import TrackingSettings
 
+SETPOINTS_HZ = 50.0  # unless a mission says otherwise
 DEFAULT_ORIGIN = Geodetic(47.397742, 8.545594, 488.0)  # where PX4's own simulators start, near Zurich
 
 
@@ -243,7 +245,7 @@ class StreamTable(MissionTable):
     """How setpoints are sent."""
 
     rate_hz: Finite = Field(
-        default=50.0,
+        default=SETPOINTS_HZ,
         ge=20,
         le=200,
         description="a number from 20 to 200, setpoints a second to each vehicle (default 50)",
@@ -361,6 +363,10 @@ class Mission(MissionTable):
             return Target.ball(places[0])
         group = centre_of_charge(places, [target.weight for target in self.targets])
         return Target.ball(group.centre_enu_m, min(group.radius_m, self.track.most_radius_m))
+
+    def tracking(self) -> TrackingSettings:
+        """Return how the moving targets are followed."""
+        return self.track.settings({target.name: target.weight for target in self.targets or ()})
 
     def pads_enu_m(self) -> Array:
         """Return the pads of simulated vehicles: a square grid, row by row northwards, shape (V, 2) [m]."""

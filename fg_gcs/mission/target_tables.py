@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,6 +28,8 @@ from fg_gcs.mission.tables import (
 from fg_gcs.scenario import motions, random_walk, recorded, waypoints
 from fg_gcs.scenario.motions import TrueMotion
 from fg_gcs.scenario.sensor import SensorSettings
+from fg_gcs.track.estimate.estimator import Settings
+from fg_gcs.track.following_core import TrackingSettings
 from fg_gcs.track.sightings import Sighting, parse_csv
 
 Udp = Annotated[str, Field(pattern=r"^udpin:(?:[^:\s]+:)?\d{1,5}$")]
@@ -340,6 +343,11 @@ class TrackTable(MissionTable):
         default=12.0,
         description="a number of metres above 0, the largest radius that the face grows to cover (default 12)",
     )
+
+    def settings(self, weights: Mapping[str, float]) -> TrackingSettings:
+        """Return what following needs to know, with the weight of every target by its name."""
+        estimator = Settings(model=self.model, lost_after_s=self.lost_after_s)
+        return TrackingSettings(weights, estimator, self.capture_m, self.confidence, self.most_radius_m)
 
 
 def read_positions(path: str, target: str, sigma_m: float) -> list[Sighting]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.coverage import FACING, coverage, flux_metric
+from fg_gcs.core.coverage import coverage, flux_metric, least_after_facing
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
@@ -143,7 +143,7 @@ def _figures(task: Task, iterates: int, approach: CheckedPlan, rim: Indices) -> 
     instants = np.linspace(0.0, approach.duration_s, max(2, int(approach.duration_s * FIGURES_HZ) + 1))
     rims = approach.sample(instants).position_m[:, rim]  # (T, N, 3)
     covered = coverage(rims, task.target_enu_m)
-    facing = int(np.argmax(covered >= FACING))  # 0 when it never faces: then the whole way counts
+    least = least_after_facing(covered)
     straight_m = np.linalg.norm(task.target_enu_m - task.start.centre_enu_m)
     return ApproachFigures(
         path_length_m=float(np.linalg.norm(np.diff(rims, axis=0), axis=2).sum()),
@@ -151,6 +151,6 @@ def _figures(task: Task, iterates: int, approach: CheckedPlan, rim: Indices) -> 
         iterates=iterates,
         flux_metric=float(flux_metric(rims[-1:], task.target_enu_m)[0]),
         coverage_mean=float(covered.mean()),
-        coverage_min_after_facing=float(covered[facing:].min()),
+        coverage_min_after_facing=float(covered.min()) if least is None else least,
         last_scale=task.last_scale,
     )

@@ -9,7 +9,7 @@ solved to the end [More1983]_. The formation's scale is not searched for: it goe
 
 Two things the flux alone leaves open are decided here:
 
-- A face that looks away has negative flux, which translation could only raise by fleeing. Until the flux is positive
+- A face turned away has negative flux, which translation could only raise by fleeing. Until the flux is positive
   the centre stays and only the attitude moves.
 - Exactly behind the formation the rotational gradient vanishes (a saddle). The curvature shows the way out; of its two
   equal directions the one with a positive first component is taken.

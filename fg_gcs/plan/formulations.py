@@ -1,6 +1,6 @@
 """The two formulations of Flux Guided planning behind one interface: rigid and free.
 
-``rigid`` moves the formation as one body; it can change its size, look at several charges and bend its path inside a
+``rigid`` moves the formation as one body; it can change its size, face several charges and bend its path inside a
 fence. ``free`` is the paper's own: every leader moves, and only the edges of the face keep their lengths
 [Hartley2021]_. Whatever comes after the search, timing, verification and flight, knows paths of swarms alone.
 """
@@ -34,7 +34,7 @@ FormulationName = Literal["rigid", "free"]
 SAME_SCALE = 1e-9  # scales nearer than this are one
 ROTATION = 1e-6  # how far an attitude's columns may be from orthonormal: attitudes are computed, not typed
 FENCE_STEP_M = (
-    0.1  # between samples of a path that are held against the fence; the verification after timing looks closer
+    0.1  # between samples of a path that are held against the fence; the verification after timing samples more densely
 )
 INSTEAD = 'use formulation = "rigid" ([plan])'
 

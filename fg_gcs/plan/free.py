@@ -19,10 +19,10 @@ the shape as it is: what the rigid formulation reaches, this one reaches too.
 
 What the flux alone leaves open is decided here, the first and the last as in the rigid formulation:
 
-- A face that looks away has negative flux, which could be raised by fleeing or by shrinking. Until the flux is positive
+- A face turned away has negative flux, which could be raised by fleeing or by shrinking. Until the flux is positive
   centre and shape stay and only the attitude turns.
 - Close behind the face there is a place from which every turn loses flux. If the target is among the swarm there, a
-  straight slide ends the path; if it lies beyond, the face turns against the flux until it looks at the target.
+  straight slide ends the path; if it lies beyond, the face turns against the flux until it faces the target.
 - Shape is a means, not an end: on the last metres, when the target is surrounded, the formation's own is restored.
 - Exactly behind the formation the curvature shows the way out; of its two equal directions the one with a positive
   first component is taken.
@@ -83,7 +83,7 @@ def plan_leaders(formation: Formation, start: Pose, target_enu_m: Array, hold_de
     return LeaderPath(leaders, poses, steps)
 
 
-def shape_of(formation: Formation, scale: float = 1.0) -> Shape:
+def shape_of(formation: Formation, scale: float) -> Shape:
     """Return the edges to hold and the pairs to keep apart."""
     slots, count = scale * formation.slots_m, len(formation.leaders_m)
     size = scale * formation.gyration_m

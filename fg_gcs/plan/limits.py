@@ -17,7 +17,7 @@ class Limits:
     acceleration_m_s2: float  # norm of the acceleration
     climb_m_s: float = np.inf
     descent_m_s: float = np.inf
-    jerk_m_s3: float = np.inf  # norm of the acceleration's growth
+    jerk_m_s3: float = np.inf  # norm of the acceleration's derivative
 
     def lowered_to(self, **others: float) -> Limits:
         """Return the smaller of each limit and the given one, by the names of the fields."""

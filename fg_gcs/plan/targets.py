@@ -134,8 +134,7 @@ def centre_of_charge(positions_enu_m: ArrayLike, weights: ArrayLike | None = Non
 
     The face is a square of edge ``l = (2 d_max + 10 m) / sqrt(2)``, ``d_max`` being the largest distance from the
     centre: its diagonal is the diameter of all targets and 10 m more. The radius is the one of the circle inscribed in
-    that square, so that :func:`edge_for_radius_m` gives ``l`` back. The targets themselves lie inside the square's
-    circumscribed circle.
+    that square, ``l / 2``. The targets themselves lie inside the square's circumscribed circle.
 
     Args:
         positions_enu_m: where the targets are, shape (C, 3), C >= 1 [m; ENU].
@@ -181,21 +180,6 @@ def uncertain(mean_enu_m: ArrayLike, covariance_m2: ArrayLike, confidence: float
         raise PlanError(f"the covariance must be positive semi-definite, but has the eigenvalue {values[0]:.3g} m^2")
     quantile = float(chi2.ppf(confidence, df=3))
     return Target.ball(mean_enu_m, float(np.sqrt(quantile * max(values[-1], 0.0))))
-
-
-def edge_for_radius_m(radius_m: float, leaders: int = 4) -> float:
-    """Return the edge of the regular polygon whose inscribed circle has the radius: ``2 r tan(pi / N)`` [m].
-
-    For the paper's four leaders that is its rule ``l = 2 r``.
-
-    Raises:
-        PlanError: the radius is not a finite number above 0, or there are fewer than three leaders.
-    """
-    if leaders < 3:
-        raise PlanError(f"a face needs at least 3 leaders, got {leaders}")
-    if not 0.0 < radius_m < np.inf:
-        raise PlanError(f"a face can be sized for a finite radius above 0 m only, got {radius_m}")
-    return float(2.0 * radius_m * np.tan(np.pi / leaders))
 
 
 def _points(values: ArrayLike) -> Array:

@@ -1,4 +1,4 @@
-"""Trajectories: a path with its profile in time, and what a dense look at all of it finds."""
+"""Trajectories: a path with its profile in time, and what dense samples of all of it show."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fg_gcs.plan.timing.time_optimal import time_optimal
 BLEND_S = 0.05  # shortest window that accelerations are blended over: some setpoints, and 1 % of a short flight
 SURVEY_HZ = 200.0  # density of the verification, besides the instants where the jerk steps: in between all is smooth
 JERK_HZ = 1000.0  # where jerk is limited: it is taken from differences of accelerations
-SURVEY_PLACES = 4_000  # instants times vehicles looked at together: 0.3 MB of work space, which stays in the cache
+SURVEY_PLACES = 4_000  # instants times vehicles sampled together: 0.3 MB of work space, which stays in the cache
 BETWEEN_SAMPLES = 2e-3  # how much a peak between two samples of the verification may exceed them both
 POWERS = {"speed_m_s": 1, "acceleration_m_s2": 2, "jerk_m_s3": 3, "climb_m_s": 1, "descent_m_s": 1}  # of stretched time
 MENDS = 8  # timings tried from or to a moving end; two or three do
@@ -47,7 +47,7 @@ class Moment(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """What a dense look at a whole trajectory finds."""
+    """What dense samples of a whole trajectory show."""
 
     peaks: Peaks
     low_enu_m: Array  # (3,) corners of the box that it stays in [m]
@@ -58,7 +58,7 @@ class Survey(NamedTuple):
         return float(fence.excess_m(np.stack((self.low_enu_m, self.high_enu_m))).max())
 
     def slower(self, factor: float) -> Survey:
-        """Return what the same look finds when all is flown ``factor`` times slower.
+        """Return what the same samples show when all is flown ``factor`` times slower.
 
         It meets the same places, where speeds are lower by the factor, accelerations by its square, jerks by its cube.
         """
@@ -72,7 +72,7 @@ class Trajectory:
     def __init__(
         self, path: SwarmPath, profile: Profile, survey_hz: float = SURVEY_HZ, survey: Survey | None = None
     ) -> None:
-        """Take both, how densely to survey them, and what that finds; None: looked for when it is asked for."""
+        """Take both, how densely to sample them, and what that shows; None: sampled when it is asked for."""
         self._path = path
         self._profile = profile
         self._survey_hz = survey_hz
@@ -96,7 +96,7 @@ class Trajectory:
 
     @cached_property
     def survey(self) -> Survey:
-        """What a dense look at the whole trajectory finds, every instant included where the jerk steps.
+        """What dense samples of the whole trajectory show, every instant included where the jerk steps.
 
         It steps where the timing's acceleration does, and where the path passes a knot.
         """

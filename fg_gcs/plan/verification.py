@@ -1,4 +1,4 @@
-"""Plans that carry the verification that limits, fence and separation hold."""
+"""Plans that were verified: dense samples of them keep limits and fence, and every pair keeps its separation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class CheckedPlan:
     duration_s: float
     peaks: Peaks
     separation: Separation
-    gaze_enu_m: Array  # (3,) the point that every vehicle's nose looks at [m; ENU]
+    gaze_enu_m: Array  # (3,) the point that every vehicle's nose points at [m; ENU]
     heading_enu: Array  # (2,) direction for a vehicle right above or below that point
 
     def sample(self, time_s: Array) -> Sample:
@@ -41,12 +41,12 @@ class CheckedPlan:
         return Sample(*(np.concatenate(field)[order] for field in zip(*parts, strict=True)))
 
     def yaw_rad(self, position_m: Array) -> Array:
-        """Return the heading that looks at the target from each position; (..., 3) to (...) [rad; NED]."""
+        """Return the heading towards the target from each position; (..., 3) to (...) [rad; NED]."""
         return yaw_towards(self.gaze_enu_m, position_m, self.heading_enu)
 
 
 def yaw_towards(gaze_enu_m: Array, position_m: Array, heading_enu: Array) -> Array:
-    """Return the headings that look at a point from each position; (..., 3) to (...) [rad; NED].
+    """Return the headings towards a point from each position; (..., 3) to (...) [rad; NED].
 
     Args:
         gaze_enu_m: the point, shape (3,) [m; ENU].
@@ -64,7 +64,7 @@ def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> Chec
     Args:
         pieces: at least one trajectory; each starts where the one before ended.
         rules: limits, separation and fence.
-        gaze_enu_m: the point that every vehicle looks at, shape (3,) [m].
+        gaze_enu_m: the point that every nose points at, shape (3,) [m].
 
     Raises:
         PlanError: names the rule that is broken, by which vehicles (counted from 1), when, and what would help.

@@ -16,27 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.coverage import FACING, coverage, flux_metric
+from fg_gcs.core.coverage import coverage, flux_metric, least_after_facing
 from fg_gcs.core.formation import Pose
 from fg_gcs.core.separation import closest_approach
+from fg_gcs.mission.model import SETPOINTS_HZ
 from fg_gcs.plan.rules import Peaks, broken, peaks_of
+from fg_gcs.record.evaluate.tracking import HOLDING, SETTLED_S
 from fg_gcs.scenario.motions import TrueMotion
 from fg_gcs.scenario.sensor import Measurement, Sensor
 from fg_gcs.track.follow.formation_frames import Frames
 from fg_gcs.track.follow.replanner import FollowMode, Swarm
-from fg_gcs.track.following_core import FollowingCore, TrackingSettings
+from fg_gcs.track.following_core import QUIET_S, FollowingCore, TrackingSettings
 from fg_gcs.track.sightings import Verdict
 
 Flags = NDArray[np.bool_]
 
-TICK_S = 0.02  # the stream's usual period
-QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same, as in flight
-SETTLED_S = 2.0  # after the capture, which is when the formation still moves in: errors count from here on
-HOLDING = 0.9  # a flux metric from here on counts as held
+TICK_S = 1.0 / SETPOINTS_HZ
 
 
 class Replanned(NamedTuple):
-    """One look for a better trajectory."""
+    """One attempt at a better trajectory."""
 
     time_s: float
     mode: FollowMode
@@ -135,13 +134,11 @@ class KinematicSimulation:
         )
 
     def _coverage_on_the_way(self, rims: Array) -> float | None:
-        """The smallest from when the face first looks at the target until it is caught."""
+        """The smallest from when it first faces the target until it is caught."""
         if self.caught_s is None:
             return None
         way = self.time_s < self.caught_s
-        covered = coverage(rims[way], self.truth_m[way])
-        facing = np.flatnonzero(covered >= FACING)
-        return float(covered[facing[0] :].min()) if len(facing) else None
+        return least_after_facing(coverage(rims[way], self.truth_m[way]))
 
     def _found_again_s(self, error: Array) -> tuple[float | None, ...]:
         """How long it took after each loss: a time without any sighting, longer than a target may stay unseen."""
@@ -180,7 +177,7 @@ def simulate_kinematics(
         tracking: what is tracked, and how.
         start: where the formation rests at time 0.
         motions: true ones by the names of all targets that are tracked.
-        sensors: who looks at them.
+        sensors: what they are measured by.
         seconds: how long, two ticks or more.
         stopwatch: returns seconds, for the durations of replanning alone.
     """
@@ -235,6 +232,6 @@ def simulate_kinematics(
 
 
 def _arrivals(motions: Mapping[str, TrueMotion], sensors: Sequence[Sensor]) -> Iterator[Measurement]:
-    """All looks of all sensors for ever, in the order of arrival."""
+    """All measurements of all sensors for ever, in the order of arrival."""
     each = (sensor.measurements(motions[sensor.target]) for sensor in sensors)
-    return heapq.merge(*each, key=lambda look: look.received_s)
+    return heapq.merge(*each, key=lambda each: each.received_s)

@@ -18,7 +18,7 @@ SLACK = 1.0 + 1e-9  # rounding must not cost a whole further braking step
 class RandomWalk:
     """From rest, an acceleration drawn anew every second; speed and place stay in bounds.
 
-    Every draw is looked at before it is taken: the speed must stay allowed, and the target must still be able to stop
+    Every draw is checked before it is taken: the speed must stay allowed, and the target must still be able to stop
     inside the box, by braking along its velocity in whole steps. Where no draw will do it brakes. A step at a constant
     acceleration lies in the triangle of its ends and of the point half a step ahead, so that the box, being convex,
     holds all of it. The path depends on the arguments alone, not on the times that are asked for.

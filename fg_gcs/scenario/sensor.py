@@ -20,10 +20,10 @@ from fg_gcs.track.sightings import Sighting, isotropic
 class SensorSettings:
     """How good a sensor is; times count from when tracking begins."""
 
-    rate_hz: float = 10.0  # looks a second
+    rate_hz: float = 10.0  # measurements a second
     sigma_m: float = 0.5  # standard deviation of the error along each axis
-    delay_s: float = 0.1  # from the look to the arrival of the sighting
-    jitter_s: float = 0.0  # looks are this much early or late at most, evenly spread
+    delay_s: float = 0.1  # from the measurement to the arrival of the sighting
+    jitter_s: float = 0.0  # measurements are this much early or late at most, evenly spread
     drop: float = 0.0  # share of the sightings that never arrive
     outliers: float = 0.0  # share of the sightings that are wild, with nothing to tell them by
     outlier_m: float = 20.0  # how far off those are, in any direction
@@ -45,14 +45,14 @@ class SensorSettings:
 
 
 class Measurement(NamedTuple):
-    """What came of one look."""
+    """What came of one measurement."""
 
     received_s: float  # when the sighting arrives, or would have arrived
     sighting: Sighting | None  # None: it failed
 
 
 class Sensor:
-    """Looks at one target. Which looks fail, and by how much they err, depends on target and seed alone.
+    """Measures one target's place. Which measurements fail, and by how much they err, depends on target and seed alone.
 
     Args:
         target: name of the target; sensors of several targets with one seed err each by itself.
@@ -65,19 +65,19 @@ class Sensor:
         self.settings = settings
         self._seed = (seed, *target.encode())
         self._covariance_m2 = isotropic(settings.sigma_m)
-        self._looks = np.random.default_rng(self._seed)
+        self._random = np.random.default_rng(self._seed)
 
     def measure(self, time_s: float, position_enu_m: Array) -> Sighting | None:
-        """Return what the next look gives, None if nothing comes of it.
+        """Return the next sighting, None if the measurement fails.
 
         Args:
-            time_s: when it looks.
+            time_s: when it is taken.
             position_enu_m: where the target then is, shape (3,) [m; ENU].
         """
-        return self._seen(self._looks, time_s, position_enu_m)
+        return self._seen(self._random, time_s, position_enu_m)
 
     def measurements(self, motion: TrueMotion) -> Iterator[Measurement]:
-        """Yield all looks at a motion for ever, in the order of arrival; every call begins anew.
+        """Yield all measurements of a motion for ever, in the order of arrival; every call begins anew.
 
         They are taken at ``k / rate_hz``, give or take the jitter, and never before time 0. Those that fail are among
         them, so that the next one always comes at once, even if the sensor never sees anything again.
@@ -86,7 +86,7 @@ class Sensor:
         waiting: list[tuple[float, int, Sighting | None]] = []
         for k in itertools.count():
             nominal_s = k / settings.rate_hz
-            # Later looks cannot come before this one at its earliest
+            # Later ones cannot come before this one at its earliest
             while waiting and waiting[0][0] <= nominal_s - settings.jitter_s:
                 time_s, _, sighting = heapq.heappop(waiting)
                 yield Measurement(time_s + settings.delay_s, sighting)
@@ -94,7 +94,7 @@ class Sensor:
             heapq.heappush(waiting, (time_s, k, self._seen(random, time_s, motion.at(np.array([time_s]))[0][0])))
 
     def _seen(self, random: np.random.Generator, time_s: float, position_enu_m: Array) -> Sighting | None:
-        """Every look takes the same number of draws, so that no setting changes what the others do."""
+        """Every measurement takes the same number of draws, so that no setting changes what the others do."""
         settings = self.settings
         dropped, wild = random.random(2) < (settings.drop, settings.outliers)
         noise, direction = random.standard_normal((2, 3))

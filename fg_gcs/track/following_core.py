@@ -16,6 +16,8 @@ from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
 from fg_gcs.track.follow.replanner import RUN_ON_S, WORTH_S, FollowMode, Goal, Replan, Replanner, Swarm
 from fg_gcs.track.sightings import Sighting, Verdict
 
+QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same: what is unknown grows
+
 
 @dataclass(frozen=True)
 class TrackingSettings:
@@ -66,7 +68,7 @@ class FollowingCore:
         return self._group.at(now_s, self._estimates(now_s))
 
     def replan(self, now_s: float) -> Replan | None:
-        """Look for a better trajectory from now on; None while nothing is known.
+        """Search for a better trajectory from now on; None while nothing is known.
 
         When every target is lost the formation goes on as predicted for a while, then rests. It grows with the
         uncertainty all the time.
@@ -74,7 +76,7 @@ class FollowingCore:
         return next((replan for replan in self.replanning(now_s) if replan is not None), None)
 
     def replanning(self, now_s: float) -> Iterator[Replan | None]:
-        """Do the same in steps, see :meth:`.Replanner.looking`; none while nothing is known."""
+        """Do the same in steps, see :meth:`.Replanner.replanning`; none while nothing is known."""
         known = self.known(now_s)
         if known is None:
             return

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
-from fg_gcs.core.coverage import coverage, flux_metric, normals
 from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 
 
@@ -39,11 +38,26 @@ def test_placing_keeps_all_distances_and_scales_them() -> None:
 
 
 def test_facing_is_a_rotation_that_looks_where_it_is_told() -> None:
-    for direction in ((1, 0, 0), (0, 0, 1), (0, 0, -1), (-3, 0.1, 0), (1e-9, 0, 5)):
+    for direction in ((1, 0, 0), (0, 0, 1), (0, 0, -1), (-3, 0.1, 0), (1e-9, 0, 5), (2, -1, 2), (0.1, 3, -0.2)):
         attitude = facing(np.array(direction, dtype=float))
         assert attitude.T @ attitude == pytest.approx(np.eye(3), abs=1e-12)
         assert np.linalg.det(attitude) == pytest.approx(1.0)
         assert attitude[:, 0] == pytest.approx(np.array(direction) / np.linalg.norm(direction))
+
+
+def test_facing_leans_as_far_towards_up_as_the_normal_lets_it() -> None:
+    for seed in range(20):
+        normal, up = np.random.default_rng(seed).normal(size=(2, 3))
+        attitude = facing(normal, tuple(up))
+        upright = float(up @ attitude[:, 0])
+        assert up @ attitude[:, 2] == pytest.approx(np.sqrt(up @ up - upright**2))
+        assert up @ attitude[:, 1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_normal_along_up_takes_north_for_it_and_one_along_north_east() -> None:
+    for sign in (1.0, -1.0):
+        assert facing(np.array([0.0, 0.0, sign]))[:, 2] == pytest.approx([0.0, 1.0, 0.0])
+        assert facing(np.array([0.0, sign, 0.0]), (0.0, 1.0, 0.0))[:, 2] == pytest.approx([1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -92,19 +106,3 @@ def test_the_inscribed_circle_is_the_largest_around_the_centre() -> None:
 def test_slots_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="read-only"):
         hemisphere(4, 5, 5.0).leaders_m[0, 0] = 1.0
-
-
-def test_coverage_is_one_on_the_axis_and_metric_is_one_in_the_face_and_among_the_swarm() -> None:
-    formation = hemisphere(4, 5, 5.0)
-    rims = np.repeat(formation.leaders_m[None], 5, axis=0)
-    sources = np.array([(9.0, 0, 0), (0.0, 0.3, 0), (-0.5, 0, 0), (-9.0, 0, 0), (0.0, 9.0, 0)])
-    assert coverage(rims, sources) == pytest.approx([1, 1, 1, 0, 0], abs=1e-6)
-    assert flux_metric(rims, sources)[1:] == pytest.approx([1, 1, 0, 0], abs=1e-6)
-    assert normals(rims)[0] == pytest.approx([1, 0, 0])
-
-
-def test_coverage_falls_off_like_the_cosine_far_away() -> None:
-    rim = hemisphere(6, 0, 1.0).leaders_m[None]
-    for angle in (0.2, 0.7, 1.2):
-        source = 1e4 * np.array([np.cos(angle), np.sin(angle), 0.0])
-        assert coverage(rim, source)[0] == pytest.approx(np.cos(angle), rel=1e-6)

@@ -133,6 +133,19 @@ def test_derivatives_hold_close_to_singular_shapes(seed: int) -> None:
     assert np.abs(curved.reshape(rim.size, -1) - np.array(bends) / (2 * step)).max() < 1e-6 * np.abs(curved).max()
 
 
+@pytest.mark.parametrize("size_m", [0.1, 1.0, 30.0])
+def test_a_source_on_the_extension_of_an_edge_has_derivatives_too(size_m: float) -> None:
+    rim = size_m * np.array([(0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 1.0, 1.0), (0.0, 0.0, 1.0)])
+    source, step = size_m * np.array([0.0, 2.5, 0.0]), 1e-6 * size_m
+    moves = np.eye(rim.size).reshape(-1, *rim.shape) * step
+    difference = (solid_angle.flux(rim + moves, source) - solid_angle.flux(rim - moves, source)) / (2 * step)
+    exact = solid_angle.gradient(rim, source)
+    assert np.abs(exact.ravel() - difference).max() < 1e-6 * np.abs(exact).max()
+    bent_by = [(solid_angle.gradient(rim + m, source) - solid_angle.gradient(rim - m, source)).ravel() for m in moves]
+    hessian = solid_angle.hessian(rim, source).reshape(rim.size, -1)
+    assert np.abs(hessian - np.array(bent_by) / (2 * step)).max() < 1e-6 * np.abs(hessian).max()
+
+
 def test_moving_rim_and_source_together_changes_nothing() -> None:
     for seed in range(20):
         rim, source = bent(seed)

@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fg_gcs.core.coverage import flux_metric
+from fg_gcs.core.formation import Pose
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
+from fg_gcs.plan.path.poses import Poses
 from fg_gcs.plan.path.rigid_path import PosePath
+from fg_gcs.plan.search.rigid import furthest_outside
 from tests.plan.scenes import PAPER, compiled, task
 
 FLOOR = Fence((-60.0, -60.0, 3.0), (60.0, 60.0, 60.0))
@@ -28,6 +32,19 @@ def test_a_target_near_the_floor_is_surrounded_from_above(target: tuple[float, f
     rim = sample[-1:][:, flight.rim_of]
     assert flux_metric(rim, made.target_enu_m)[0] >= 0.999
     assert flight.separation.distance_m >= 1.5
+
+
+def test_the_compiled_excess_over_a_box_is_that_of_the_fence() -> None:
+    for seed in range(30):
+        draw = np.random.default_rng(seed)
+        low, high = np.sort(draw.uniform(-20.0, 20.0, (2, 3)), axis=0)
+        poses = [
+            Pose(draw.uniform(-20.0, 20.0, 3), Rotation.random(rng=draw).as_matrix(), float(draw.uniform(0.5, 2.0)))
+            for _ in range(3)
+        ]
+        fence = Fence((float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2])))
+        expected = max(float(fence.excess_m(PAPER.place(pose)).max()) for pose in poses)
+        assert furthest_outside(Poses.of(poses).rows, PAPER.slots_m, low, high) == pytest.approx(expected)
 
 
 def test_a_ceiling_and_a_wall_bend_the_path_too() -> None:

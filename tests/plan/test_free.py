@@ -202,7 +202,7 @@ def test_the_flown_path_passes_the_iterates_with_exact_derivatives() -> None:
 def test_the_model_is_the_flux_to_second_order_along_shapes_that_keep_their_edges(seed: int) -> None:
     draw = np.random.default_rng(seed)
     leaders = int(draw.integers(3, 8))
-    shape = shape_of(hemisphere(leaders, 0, 5.0))
+    shape = shape_of(hemisphere(leaders, 0, 5.0), 1.0)
     departure = 0.05 * draw.normal(size=(leaders, 3))
     assert restore(shape, departure)
     source = draw.uniform(4.0, 20.0) * Rotation.random(rng=draw).apply([1.0, 0.0, 0.0])
@@ -220,3 +220,17 @@ def test_the_model_is_the_flux_to_second_order_along_shapes_that_keep_their_edge
     ahead, here, behind = (moved(share * step * way) for share in (1.0, 0.0, -1.0))
     assert gradient @ way == pytest.approx((ahead - behind) / (2 * step), rel=1e-5, abs=1e-6)
     assert way @ hessian @ way == pytest.approx((ahead - 2 * here + behind) / step**2, rel=1e-4, abs=1e-4)
+
+
+def test_no_pair_may_come_much_closer_than_the_closest_of_the_shape_neighbours_included() -> None:
+    rim = hemisphere(5, 0, 4.0).leaders_m
+    far = Formation(rim, np.array([[-50.0, 0.0, 0.0]]))  # so the closest pair are two neighbours on the rim
+    for scale in (1.0, 1.7):
+        shape = shape_of(far, scale)
+        for (first, second), least_m in zip(shape.pairs.tolist(), shape.least_m, strict=True):
+            apart_m = float(np.linalg.norm(shape.slots_m[first] - shape.slots_m[second]))
+            assert (second - first) % 5 not in (1, 4) or second == 5
+            own_m = PAIR_SHARE * apart_m if second < 5 else 0.0
+            assert least_m == pytest.approx(max(own_m, SMALLEST_SHARE * 4.0 * scale))
+        assert shape.edges_m == pytest.approx(np.full(5, 4.0 * scale))
+        assert len(shape.pairs) == 5 + 5  # diagonals of the pentagon, and every leader with the follower

@@ -7,7 +7,7 @@ from fg_gcs.core import solid_angle
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose, hemisphere
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.targets import Charges, Target, centre_of_charge, edge_for_radius_m, uncertain
+from fg_gcs.plan.targets import Charges, Target, centre_of_charge, uncertain
 
 RIM_FORMATION = hemisphere(5, 0, 4.0)
 RIM = RIM_FORMATION.leaders_m
@@ -47,21 +47,21 @@ def test_the_centre_of_charge_has_the_papers_square_with_every_target_inside_its
         positions = np.random.default_rng(seed).normal(200.0, 100.0, (10, 3))
         target = centre_of_charge(positions)
         distances = np.linalg.norm(positions - target.centre_enu_m, axis=1)
-        edge = edge_for_radius_m(target.radius_m)
+        edge = 2.0 * target.radius_m  # of the square around the circle
         assert target.centre_enu_m == pytest.approx(positions.mean(axis=0))
         assert edge == pytest.approx((2.0 * distances.max() + 10.0) / np.sqrt(2.0))
         assert distances.max() < edge / np.sqrt(2.0)
 
 
 def test_a_single_target_keeps_the_clearance() -> None:
-    assert edge_for_radius_m(centre_of_charge([[1.0, 2.0, 3.0]]).radius_m) == pytest.approx(10.0 / np.sqrt(2.0))
+    assert 2.0 * centre_of_charge([[1.0, 2.0, 3.0]]).radius_m == pytest.approx(10.0 / np.sqrt(2.0))
 
 
 def test_heavier_targets_pull_the_centre_and_the_furthest_one_sets_the_size() -> None:
     positions, weights = np.array([(0.0, 0.0, 0.0), (8.0, 0.0, 0.0)]), [3.0, 1.0]
     target = centre_of_charge(positions, weights)
     assert target.centre_enu_m.tolist() == [2.0, 0.0, 0.0]
-    assert edge_for_radius_m(target.radius_m) == pytest.approx((2.0 * 6.0 + 10.0) / np.sqrt(2.0))
+    assert 2.0 * target.radius_m == pytest.approx((2.0 * 6.0 + 10.0) / np.sqrt(2.0))
     assert len(target.sources.positions_enu_m) == 1
     doubled = centre_of_charge([positions[0]] * 3 + [positions[1]])
     assert (doubled.centre_enu_m.tolist(), doubled.radius_m) == (target.centre_enu_m.tolist(), target.radius_m)
@@ -118,14 +118,6 @@ def test_certainty_has_no_radius_and_a_larger_confidence_a_larger_one() -> None:
     assert radii[1] == pytest.approx(np.sqrt(2.0 * 2.365974))  # median of chi-square with three degrees: printed tables
 
 
-def test_the_inscribed_circle_of_the_face_is_the_target() -> None:
-    assert edge_for_radius_m(2.5) == pytest.approx(5.0)  # the paper's l = 2 r
-    for leaders in range(3, 20):
-        rim = hemisphere(leaders, 0, edge_for_radius_m(7.0, leaders)).leaders_m
-        middles = 0.5 * (rim + np.roll(rim, -1, axis=0))
-        assert np.linalg.norm(middles, axis=1) == pytest.approx(7.0)
-
-
 @pytest.mark.parametrize("place", [(np.nan, 0, 0), (0, np.inf, 0), (1, 2), "abc", None])
 def test_places_that_are_none_are_refused(place: object) -> None:
     with pytest.raises(PlanError):
@@ -140,15 +132,6 @@ def test_places_that_are_none_are_refused(place: object) -> None:
 def test_radii_that_are_none_are_refused(radius: float) -> None:
     with pytest.raises(PlanError, match="radius"):
         Target.ball((0.0, 0.0, 0.0), radius)
-    with pytest.raises(PlanError, match="radius"):
-        edge_for_radius_m(radius)
-
-
-def test_no_face_has_two_leaders_and_none_has_no_size() -> None:
-    with pytest.raises(PlanError, match="3 leaders"):
-        edge_for_radius_m(1.0, 2)
-    with pytest.raises(PlanError, match="radius"):
-        edge_for_radius_m(0.0)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from fg_gcs.plan.path.swarm_path import ClosestApproach, PathPoint, SwarmPath, t
 
 Indices = NDArray[np.intp]
 
-LOOKS = 8  # at each span for the closest pair: shapes change by centimetres a span, so that eight looks miss nothing
+SAMPLES = 8  # in each span for the closest pair: shapes change by centimetres a span
 
 
 @dataclass(frozen=True)
@@ -103,27 +103,27 @@ class LeadersPath:
 
     def points_at(self, s_m: Array, followers_m: Array) -> PathPoint:
         """Return the leaders and any points that stand in their frame, shape (P, 3) [m; template], in this order."""
-        rotation, rates, growths = attitudes_at(np.asarray(s_m, dtype=float), *self._attitude)
-        rate, growth = rates[:, None, :], growths[:, None, :]
+        rotation, rates, accelerations = attitudes_at(np.asarray(s_m, dtype=float), *self._attitude)
+        rate, acceleration = rates[:, None, :], accelerations[:, None, :]
         arms = np.einsum("sij,svj->svi", rotation, self._slots(s_m, followers_m))
-        bend = np.zeros_like(arms)
-        second_bend = np.zeros_like(arms)
+        shape1 = np.zeros_like(arms)
+        shape2 = np.zeros_like(arms)
         leaders = self._leaders.c.shape[2]
-        bend[:, :leaders] = np.einsum("sij,snj->sni", rotation, self._leaders(s_m, 1))
-        second_bend[:, :leaders] = np.einsum("sij,snj->sni", rotation, self._leaders(s_m, 2))
+        shape1[:, :leaders] = np.einsum("sij,snj->sni", rotation, self._leaders(s_m, 1))
+        shape2[:, :leaders] = np.einsum("sij,snj->sni", rotation, self._leaders(s_m, 2))
         swing = np.cross(rate, arms)
         return PathPoint(
             self._centre(s_m)[:, None, :] + arms,
-            self._centre(s_m, 1)[:, None, :] + swing + bend,
+            self._centre(s_m, 1)[:, None, :] + swing + shape1,
             self._centre(s_m, 2)[:, None, :]
-            + np.cross(growth, arms)
-            + np.cross(rate, swing + 2.0 * bend)
-            + second_bend,
+            + np.cross(acceleration, arms)
+            + np.cross(rate, swing + 2.0 * shape1)
+            + shape2,
         )
 
     def closest(self) -> ClosestApproach:
         """Return the closest approach of any pair, the shape's change between dense samples taken as straight."""
-        shares = np.arange(LOOKS) / LOOKS
+        shares = np.arange(SAMPLES) / SAMPLES
         inner = self._knots_m[:-1, None] + np.diff(self._knots_m)[:, None] * shares
         samples = np.append(inner.ravel(), self._knots_m[-1])
         slots = self._slots(samples, self._followers_m)

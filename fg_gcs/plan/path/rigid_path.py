@@ -24,7 +24,7 @@ class PosePath:
     Both are twice continuously differentiable, and every vehicle's derivatives follow from those of the pose. All
     distances within the formation are those of its template, times the scale, at every parameter and not only at the
     poses. The scale goes from the first pose's to the last one's along the whole way, by the polynomial
-    ``10 x^3 - 15 x^4 + 6 x^5`` that begins and ends without slope and curvature.
+    ``10 x^3 - 15 x^4 + 6 x^5`` that begins and ends with both derivatives zero.
     """
 
     def __init__(self, slots_m: Array, poses: Sequence[Pose]) -> None:
@@ -135,7 +135,7 @@ def _rigid_points(
     """Positions of all slots and their derivatives at S places, each (S, V, 3).
 
     Within a span the centre ``c`` and the rotation vector ``f`` from the span's first attitude are cubic polynomials,
-    highest power first. ``r`` is a template axis turned to ENU, ``w`` and ``w'`` the turning rate and its growth, ``k``
+    highest power first. ``r`` is a template axis turned to ENU, ``w`` and ``w'`` turning rate and acceleration, ``k``
     the scale: ``q = c + k r``, ``q' = c' + k' r + k w x r``, ``q'' = c'' + k'' r + 2 k' w x r + k (w' x r + w x (w x
     r))``. All this is affine in the slot: it is worked out for the three axes, and every slot adds up its shares.
     """
@@ -156,12 +156,12 @@ def _rigid_points(
         k2 = grown * 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / knots[-1] ** 2
         for axis in range(3):
             r = (rotation[0, axis], rotation[1, axis], rotation[2, axis])
-            swing = cross(w, r)
-            bend = mix(1.0, cross(g, r), 1.0, cross(w, swing))
+            r1 = cross(w, r)
+            r2 = mix(1.0, cross(g, r), 1.0, cross(w, r1))
             for k in range(3):
                 axes[k, axis] = k0 * r[k]
-                axes1[k, axis] = k1 * r[k] + k0 * swing[k]
-                axes2[k, axis] = k2 * r[k] + 2.0 * k1 * swing[k] + k0 * bend[k]
+                axes1[k, axis] = k1 * r[k] + k0 * r1[k]
+                axes2[k, axis] = k2 * r[k] + 2.0 * k1 * r1[k] + k0 * r2[k]
         _place(c, axes, slots, i, position)
         _place(c1, axes1, slots, i, first)
         _place(c2, axes2, slots, i, second)
@@ -173,23 +173,23 @@ def attitudes_at(s_m: Array, knots: Array, attitudes: Array, turns: Array) -> tu
     """Return what a rotation spline is at S places, see :func:`fg_gcs.plan.path.splines.rotation_spline`.
 
     Returns:
-        Attitudes, shape (S, 3, 3), turning rates and their growths in ENU, each (S, 3).
+        Attitudes, shape (S, 3, 3), turning rates and angular accelerations in ENU, each (S, 3).
     """
     places = len(s_m)
-    rotations, rates, growths = np.empty((places, 3, 3)), np.empty((places, 3)), np.empty((places, 3))
+    rotations, rates, accelerations = np.empty((places, 3, 3)), np.empty((places, 3)), np.empty((places, 3))
     span = 0
     for i in range(places):
         span = _span(knots, span, s_m[i])
         f, f1, f2 = _polynomial(turns, span, s_m[i] - knots[span])
-        rate, growth = _attitude(attitudes, span, f, f1, f2, rotations[i])
+        rate, acceleration = _attitude(attitudes, span, f, f1, f2, rotations[i])
         for k in range(3):
-            rates[i, k], growths[i, k] = rate[k], growth[k]
-    return rotations, rates, growths
+            rates[i, k], accelerations[i, k] = rate[k], acceleration[k]
+    return rotations, rates, accelerations
 
 
 @kernel
 def _span(knots: Array, span: int, place: float) -> int:
-    """Return the span that a place is in, looked for from another one on."""
+    """Return the span that a place is in, searched for from another one on."""
     while span < len(knots) - 2 and place >= knots[span + 1]:
         span += 1
     while span > 0 and place < knots[span]:
@@ -223,21 +223,19 @@ def _polynomial(powers: Array, span: int, t: float) -> tuple[Vector, Vector, Vec
 
 
 @kernel
-def _attitude(
-    bases: Array, span: int, f: Vector, slope: Vector, bend: Vector, rotation: Array
-) -> tuple[Vector, Vector]:
-    """Fill the attitude ``base exp(f)``; return its turning rate and the rate's growth, both in ENU.
+def _attitude(bases: Array, span: int, f: Vector, f1: Vector, f2: Vector, rotation: Array) -> tuple[Vector, Vector]:
+    """Fill the attitude ``base exp(f)``; return its turning rate and angular acceleration, both in ENU.
 
     Args:
         bases: attitudes at the starts of the spans, shape (K, 3, 3).
         span: which one counts.
         f: rotation vector.
-        slope: its derivative.
-        bend: its second derivative.
+        f1: its derivative.
+        f2: its second derivative.
         rotation: filled, shape (3, 3).
 
     In the turned axes the rate is ``f' - b f x f' + d f x (f x f')``, see :func:`fg_gcs.plan.path.splines.turning`; its
-    growth is the derivative of that.
+    derivative is the angular acceleration.
     """
     x, y, z = f
     s, b, d, b1, d1 = turning(x * x + y * y + z * z)
@@ -250,13 +248,13 @@ def _attitude(
         p, q, r = bases[span, i, 0], bases[span, i, 1], bases[span, i, 2]
         for j in range(3):
             rotation[i, j] = p * turn[0][j] + q * turn[1][j] + r * turn[2][j]
-    grown = 2.0 * (x * slope[0] + y * slope[1] + z * slope[2])  # derivative of the squared angle
-    once, more = cross(f, slope), cross(f, bend)  # f x f', f x f''
-    twice, more_twice, bent = cross(f, once), cross(f, more), cross(slope, once)
-    rate = mix(1.0, slope, 1.0, mix(-b, once, d, twice))
-    growth = mix(-b, more, d, mix(1.0, bent, 1.0, more_twice))
-    growth = mix(1.0, mix(1.0, bend, 1.0, growth), grown, mix(-b1, once, d1, twice))
-    return _turned(rotation, rate), _turned(rotation, growth)
+    grown = 2.0 * (x * f1[0] + y * f1[1] + z * f1[2])  # derivative of the squared angle
+    once, more = cross(f, f1), cross(f, f2)  # f x f', f x f''
+    twice, more_twice, bent = cross(f, once), cross(f, more), cross(f1, once)
+    rate = mix(1.0, f1, 1.0, mix(-b, once, d, twice))
+    acceleration = mix(-b, more, d, mix(1.0, bent, 1.0, more_twice))
+    acceleration = mix(1.0, mix(1.0, f2, 1.0, acceleration), grown, mix(-b1, once, d1, twice))
+    return _turned(rotation, rate), _turned(rotation, acceleration)
 
 
 @kernel

@@ -57,11 +57,11 @@ def natural_cubic(knots: Array, values: Array) -> Array:
 
 @kernel
 def rotation_spline(knots: Array, rotations: Array) -> tuple[Array, Array]:
-    """Return a spline through attitudes with continuous turning rate and growth of the rate.
+    """Return a spline through attitudes with continuous turning rate and angular acceleration.
 
     Within span ``i`` the attitude is ``R_i exp(f)``. The rotation vector ``f`` is a cubic polynomial from 0 to the
     span's turn ``p_i``, its first derivative goes from ``w_i`` to ``A_i w_(i+1)``: the rates ``w`` in own axes, and
-    ``A_i``, which makes a rotation vector's derivative of a rate. At a knot the rate's growth of the span before it,
+    ``A_i``, which makes a rotation vector's derivative of a rate. At a knot the acceleration of the span before it,
     ``J f'' + n(f, f')`` with ``J`` the inverse of ``A``, equals ``f''`` of the span after it:
 
         2/h_(i-1) J_(i-1) w_(i-1) + 4 (1/h_(i-1) + 1/h_i) w_i + 2/h_i A_i w_(i+1)
@@ -234,15 +234,15 @@ def _fill_jacobians(f: Array, to_rate: Array, from_rate: Array) -> None:
 
 @kernel
 def _fill_quadratic(f: Array, from_rate: Array, rate: Array, out: Array) -> None:
-    """Fill the matrix ``N(w, .)`` of a span's end: the part of the rate's growth that is quadratic in the rate.
+    """Fill the matrix ``N(w, .)`` of a span's end: the part of the angular acceleration that is quadratic in the rate.
 
     In the rotation vector's derivative ``g = A w`` it is ``2 (f.g) (-b' f x g + d' f x (f x g)) + d g x (f x g)``, of
     which the matrix is half the derivative by ``g``, times ``A``.
     """
     _, _, d, b1, d1 = turning(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
-    slope, half = np.empty(3), np.empty((3, 3))
-    _multiply(from_rate, rate, slope)
-    v, g = (f[0], f[1], f[2]), (slope[0], slope[1], slope[2])
+    f1, half = np.empty(3), np.empty((3, 3))
+    _multiply(from_rate, rate, f1)
+    v, g = (f[0], f[1], f[2]), (f1[0], f1[1], f1[2])
     along = v[0] * g[0] + v[1] * g[1] + v[2] * g[2]
     own = cross(v, g)
     bent = mix(-b1, own, d1, cross(v, own))

@@ -51,7 +51,7 @@ class SwarmPath(Protocol):
 
     @property
     def outline(self) -> SwarmPath:
-        """A path of few vehicles whose limits and box imply those of this one: what timing and verification look at."""
+        """A path of few vehicles whose limits and box imply those of this one: what timing and verification sample."""
 
     def closest(self) -> ClosestApproach:
         """Return the closest approach of any pair on the whole path; a single vehicle has an infinite one."""

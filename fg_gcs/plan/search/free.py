@@ -60,7 +60,7 @@ def search(
     places = np.empty((count, 3))
     _keep(frames, departures, 0, centre, rotation, departure)
     kept, region, bound, supple = 1, 1.0, math.inf, True
-    tipping = False  # turning against the flux, out of the place where it is highest among those that look away
+    tipping = False  # turning against the flux, out of the place where it is highest among those turned away
     source = rotation.T @ (target - centre)
     bound = longest_step(_length(source), source[0], bound)
     for tried in range(frames.shape[0] - 1):

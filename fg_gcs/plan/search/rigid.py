@@ -81,7 +81,7 @@ def search(
         if region < STALLED:
             if flux > 0.0 and len(sources) > 1:  # the most flux of several sources is had in front of them
                 return FOUND, _slid(poses, count, target, depth, last_scale), tried
-            against = True  # a face that looks away can sit on a maximum: turn against the flux until it looks round
+            against = True  # a face turned away can sit on a maximum: turn against the flux until it faces it
         if against and flux <= 0.0:
             rotation = _turned_round(rotation, target - centre)
             keep(poses, count, centre, rotation, scale)
@@ -118,7 +118,7 @@ def search(
 
 @kernel
 def _best_step(gradient: Array, hessian: Array, size: float, turn: float, may_move: bool) -> tuple[Array, float]:
-    """Best (move, turn) in the region and the gain it predicts; a face that looks away only turns."""
+    """Best (move, turn) in the region and the gain it predicts; a face turned away only turns."""
     first = 0 if may_move else 3
     count = 6 - first
     reach = np.empty(count)
@@ -259,7 +259,7 @@ def _bent_step(
 ) -> tuple[Array, float, int]:
     """Best step that stays inside, the gain it predicts, and the number of planes it runs along."""
     g, h = gradient * reach, hessian * np.outer(reach, reach)
-    if not may_move:  # a face that looks away turns; planes may still push it
+    if not may_move:  # a face turned away turns; planes may still push it
         g[:3] = 0.0
         h[:3, :] = 0.0
         h[:, :3] = 0.0

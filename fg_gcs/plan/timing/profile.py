@@ -4,7 +4,7 @@ A time-optimal timing steps from one path acceleration to the next. Averaging it
 
     s~(t) = 1/w integral of s over [t - w, t],
 
-keeps the path, leaves speeds within the range they had, and makes the acceleration continuous: its growth is a
+keeps the path, leaves speeds within the range they had, and makes the acceleration continuous: its derivative is a
 difference of path accelerations over the window, at most ``2 a / w``. The flight becomes longer by the window and no
 more. As ``s`` is a quadratic in time within each cell, everything here is exact.
 
@@ -21,7 +21,7 @@ from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.plan.timing.time_optimal import Timing
 
-HALVINGS = 50  # of the duration, when a moment is looked for: past the last digit
+HALVINGS = 50  # of the duration, when a moment is searched for: past the last digit
 
 
 class Profile:
@@ -105,7 +105,7 @@ def _averaged(
 
 @kernel
 def _cell(starts: Array, time: float, near: int) -> int:
-    """The cell that a time lies in, looked for from another one on; the first one has no start, the last no end."""
+    """The cell that a time lies in, searched for from another one on; the first one has no start, the last no end."""
     while near < len(starts) - 1 and time >= starts[near + 1]:
         near += 1
     while near > 0 and time < starts[near]:

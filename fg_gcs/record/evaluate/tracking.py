@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.coverage import FACING
+from fg_gcs.core.coverage import least_after_facing
 from fg_gcs.record.evaluate.figures import Flown, Whereabouts, interpolated
 from fg_gcs.record.write.table import Columns
 from fg_gcs.track.sightings import Verdict
@@ -238,10 +238,8 @@ def tracking_figures(
 
 
 def coverage_after_facing(series: Flown, span_s: tuple[float, float]) -> float | None:
-    """Return the smallest coverage between two times [s], from when the face first looks at the target."""
-    covered = series.coverage[(series.time_s >= span_s[0]) & (series.time_s <= span_s[1])]
-    facing = np.flatnonzero(covered >= FACING)
-    return float(covered[facing[0] :].min()) if len(facing) else None
+    """Return the smallest coverage between two times [s], from when it first faces the target."""
+    return least_after_facing(series.coverage[(series.time_s >= span_s[0]) & (series.time_s <= span_s[1])])
 
 
 def _error(rims: Array, time_s: Array, followed: Followed, target: Whereabouts) -> Array:

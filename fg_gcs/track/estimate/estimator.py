@@ -1,7 +1,7 @@
 """Where a moving target is, how fast it goes and how sure that is, from noisy, late and unordered sightings.
 
 Kalman filters along stamps, not arrivals [BarShalom2001]_: every sighting of the last seconds is kept together with
-what was known after it, so that a late one is put in its place and the newer ones are looked at again. The result is
+what was known after it, so that a late one is put in its place and the newer ones are taken again. The result is
 the same whatever the order of arrival. One rule begins tracks and ends wrong ones: sightings that do not belong to the
 track are held, and as soon as enough of them agree with each other, the track begins anew from those. So neither a wild
 first sighting nor a target that jumped can mislead the filter for longer than a few sightings. docs/derivations.md has
@@ -230,7 +230,7 @@ class Estimator:
         return None
 
     def _merged(self, sighting: Sighting) -> Verdict:
-        """Put a sighting in its place, and look at the newer ones again."""
+        """Put a sighting in its place, and take the newer ones again."""
         key = (sighting.time_s, *sighting.position_enu_m.tolist())
         newest_s = max(self._history[-1].key[0], sighting.time_s) if self._history else sighting.time_s
         oldest_s = newest_s - self._settings.history_s

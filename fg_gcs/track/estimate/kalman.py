@@ -220,17 +220,17 @@ def steadied(mean: Array, covariance: Array, step: float) -> None:
         return
     way = mean[1] / speed
     along = way @ mean[2]
-    slope, seen = np.zeros(9), np.zeros(9)
+    gradient, seen = np.zeros(9), np.zeros(9)
     for a in range(3):
-        slope[3 + a] = (mean[2, a] - along * way[a]) / speed
-        slope[6 + a] = way[a]
+        gradient[3 + a] = (mean[2, a] - along * way[a]) / speed
+        gradient[6 + a] = way[a]
     for row in range(9):
         for column in range(3, 9):
-            seen[row] += covariance[row, column] * slope[column]
+            seen[row] += covariance[row, column] * gradient[column]
     variance = STEADY_M2_S3 / step
     spread = variance
     for row in range(3, 9):
-        spread += slope[row] * seen[row]
+        spread += gradient[row] * seen[row]
     for row in range(9):
         mean[row // 3, row % 3] -= seen[row] / spread * along
         for column in range(row + 1):

@@ -17,8 +17,8 @@ from fg_gcs.core.arrays import Array
 
 ROOM, SPARE_M_S = 1.01, 0.01  # a goal right on a bound has no way to it
 SHORTEST_S = 1e-9  # phases shorter than this are none
-ROUNDING = 1e-9  # [SI] of a joint's state: where it is said to be already
-# Where a polynomial of fifth degree is looked at: between two of these its acceleration bends by 0.3 % of its largest,
+ROUNDING = 1e-9  # [SI] of an axis's state: where it is said to be already
+# Where a polynomial of fifth degree is sampled: between two of these its acceleration bends by 0.3 % of its largest,
 # and right at its ends its jerk is the largest or the smallest
 SHOWN = np.array([1e-3, *(np.arange(1, 32) / 32), 1.0 - 1e-3])
 
@@ -81,11 +81,11 @@ class Axes:
         t = duration_s
         start, end = self._end, goal
         gap = end[0] - start[0] - t * (start[1] + 0.5 * t * start[2])
-        slope = t * (end[1] - start[1] - t * start[2])
-        bend = t * t * (end[2] - start[2])
-        cubic = (10.0 * gap - 4.0 * slope + 0.5 * bend) / t**3
-        quartic = (-15.0 * gap + 7.0 * slope - bend) / t**4
-        quintic = (6.0 * gap - 3.0 * slope + 0.5 * bend) / t**5
+        velocity_gap = t * (end[1] - start[1] - t * start[2])
+        acceleration_gap = t * t * (end[2] - start[2])
+        cubic = (10.0 * gap - 4.0 * velocity_gap + 0.5 * acceleration_gap) / t**3
+        quartic = (-15.0 * gap + 7.0 * velocity_gap - acceleration_gap) / t**4
+        quintic = (6.0 * gap - 3.0 * velocity_gap + 0.5 * acceleration_gap) / t**5
         powers = np.stack((start[0], start[1], 0.5 * start[2], cubic, quartic, quintic), axis=1)
         for phases, row in zip(self._phases, powers.tolist(), strict=True):
             phases.append((self.end_s, self.end_s, *row))
@@ -97,7 +97,7 @@ class Axes:
     def to(self, goal: Array, bounds: Bounds, least_s: float = 0.0) -> bool:
         """Add the fastest motion to a state, shape (3, D), that takes ``least_s`` or longer; False if there is none.
 
-        A joint that is there already stays there: that it is off by a rounding, and has time, makes ruckig go round.
+        An axis that is there already stays there: that it is off by a rounding, and has time, makes ruckig go round.
         """
         there = (np.abs(self._end - goal) < ROUNDING).all(axis=0) & ~goal[1:].any(axis=0)
         self._end = np.where(there, goal, self._end)

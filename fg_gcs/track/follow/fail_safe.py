@@ -18,9 +18,7 @@ from fg_gcs.plan.trajectory import Survey, extrema
 from fg_gcs.track.follow.axes import Axes
 from fg_gcs.track.follow.formation_frames import AXES, Frames, State, frames_of, state_of
 
-VERIFIED_EVERY_S = (
-    0.04  # between instants of the verification, besides the axes' seams: speeds bend by centimetres a second
-)
+VERIFIED_EVERY_S = 0.04  # between instants of the verification, besides the axes' seams: speeds change by some cm/s
 RESERVE = 1.008  # what lies between the instants of the verification may exceed them by
 
 
@@ -67,7 +65,7 @@ class FailSafeTrajectory:
 
 
 class Verification(NamedTuple):
-    """What a dense look at a trajectory finds."""
+    """What dense samples of a trajectory show, with a reserve for what lies between them."""
 
     peaks: Peaks
     outside_m: float  # by how much a vehicle leaves the fence, negative inside
@@ -76,13 +74,13 @@ class Verification(NamedTuple):
     def keeps(self, rules: Rules, smallest_m: float) -> bool:
         """Say whether the rules hold; ``smallest_m`` is the smallest distance in the template [m].
 
-        Jerk is bounded joint by joint when a trajectory is made.
+        Jerk is bounded axis by axis when a trajectory is made.
         """
         return not broken(self.peaks, self.outside_m, self.scale * smallest_m, rules)
 
 
 def verify(trajectory: FailSafeTrajectory, outline_m: Array, rules: Rules) -> Verification:
-    """Look at a trajectory from its start to its end.
+    """Sample a trajectory from its start to its end.
 
     Args:
         trajectory: the trajectory.

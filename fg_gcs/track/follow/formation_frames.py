@@ -91,7 +91,7 @@ def _swarm(centre: Array, arms: Array, slots: Array) -> tuple[Array, Array, Arra
 @kernel
 def _turned(axes: Array, arms: Array) -> None:
     """Fill ``arms``, (T, 3, 3, 3), with scale times rotation and its derivatives; ``w`` is the turning rate."""
-    swing, bend = np.empty((3, 3)), np.empty((3, 3))
+    r1, r2 = np.empty((3, 3)), np.empty((3, 3))
     for i in range(len(axes)):
         f = (axes[i, 0, 3], axes[i, 0, 4], axes[i, 0, 5])
         f1 = (axes[i, 1, 3], axes[i, 1, 4], axes[i, 1, 5])
@@ -99,7 +99,7 @@ def _turned(axes: Array, arms: Array) -> None:
         k0, k1, k2 = axes[i, 0, 6], axes[i, 1, 6], axes[i, 2, 6]
         x, y, z = f
         s, b, d, b1, d1 = turning(x * x + y * y + z * z)
-        slope = 2.0 * (x * f1[0] + y * f1[1] + z * f1[2])
+        square1 = 2.0 * (x * f1[0] + y * f1[1] + z * f1[2])
         once = cross(f, f1)
         twice = cross(f, once)
         grown = cross(f, f2)
@@ -108,7 +108,9 @@ def _turned(axes: Array, arms: Array) -> None:
         g = np.empty(3)
         for k in range(3):
             w[k] = f1[k] + b * once[k] + d * twice[k]
-            g[k] = f2[k] + b1 * slope * once[k] + b * grown[k] + d1 * slope * twice[k] + d * (bent[k] + grown_twice[k])
+            g[k] = (
+                f2[k] + b1 * square1 * once[k] + b * grown[k] + d1 * square1 * twice[k] + d * (bent[k] + grown_twice[k])
+            )
         turn = np.array(
             [
                 [1.0 - b * (y * y + z * z), b * x * y - s * z, b * x * z + s * y],
@@ -120,12 +122,12 @@ def _turned(axes: Array, arms: Array) -> None:
             r = (turn[0, axis], turn[1, axis], turn[2, axis])
             once_r = cross((w[0], w[1], w[2]), r)
             again = cross((w[0], w[1], w[2]), once_r)
-            growth = cross((g[0], g[1], g[2]), r)
+            turned = cross((g[0], g[1], g[2]), r)
             for k in range(3):
-                swing[k, axis] = once_r[k]
-                bend[k, axis] = growth[k] + again[k]
+                r1[k, axis] = once_r[k]
+                r2[k, axis] = turned[k] + again[k]
         for k in range(3):
             for axis in range(3):
                 arms[i, 0, k, axis] = k0 * turn[k, axis]
-                arms[i, 1, k, axis] = k1 * turn[k, axis] + k0 * swing[k, axis]
-                arms[i, 2, k, axis] = k2 * turn[k, axis] + 2.0 * k1 * swing[k, axis] + k0 * bend[k, axis]
+                arms[i, 1, k, axis] = k1 * turn[k, axis] + k0 * r1[k, axis]
+                arms[i, 2, k, axis] = k2 * turn[k, axis] + 2.0 * k1 * r1[k, axis] + k0 * r2[k, axis]

@@ -2,7 +2,7 @@
 
 The flux says how the face has to stand: towards the target, by the same search that plans to a target at rest. The
 centre goes state to state, with bounded jerk, to the place around the target where and when it will be met, at the
-target's own velocity then. A face that looks away turns on the spot first. Every candidate is verified before it is
+target's own velocity then. A face turned away turns on the spot first. Every candidate is verified before it is
 taken, from its start to the rest that it ends in; when none holds, the present trajectory goes on: that one was
 verified. docs/derivations.md has the equations.
 """
@@ -32,7 +32,7 @@ from fg_gcs.track.follow.formation_frames import State
 Shares = tuple[float, float, float]
 
 JERK_M_S3 = 12.0  # where the mission states none: from rest to 5 m/s^2 within half a second
-FACING = 0.9  # cosine between normal and target below which the face turns first and moves then
+TOWARDS = 0.9  # cosine between normal and target below which the face turns first and moves then
 CLOSEST_M = 0.1  # as if a vehicle were so far from the centre: a swarm on one spot may spin
 UPRIGHT = 0.5  # share of climb and descent for each axis of a turn that lifts vehicles on one side of the formation
 SWING = 0.1  # angle by which a turn may swing on while the formation moves [rad]: a faster one ends on the spot
@@ -43,7 +43,7 @@ FIRST_S = 0.9  # time in which a target is met at best: where the search for the
 ROUNDS = 16  # of that search, each aimed at where the target will be at the time before
 MET_S = 0.02  # change of the time of meeting that counts as none
 SAME_SCALE = 0.02  # a change of the size by less is not worth moving for
-TURN_S = 0.9  # least time for a turn on the way: attitudes wanted differ a little from look to look
+TURN_S = 0.9  # least time for a turn on the way: attitudes wanted differ a little from replan to replan
 
 # Times to join a target in, quick ones first: below 0.8 s accelerations mirror the noise of the sightings
 SMOOTH_S = (0.8, 0.9, 1.0, 1.15, 1.3, 1.6, 2.0, 2.6, 3.4, 4.5)
@@ -109,7 +109,7 @@ class FollowMode(Enum):
 
 
 class Replan(NamedTuple):
-    """What a look at the target led to."""
+    """What replanning came to."""
 
     trajectory: FailSafeTrajectory
     mode: FollowMode
@@ -219,7 +219,7 @@ class Replanner:
         radius_m = self._reach_m * float(state.axes[0, 6])
         push = EFFORTS[0].turn * self._swarm.rules.limits.acceleration_m_s2 / max(radius_m, CLOSEST_M)
         swings = float((state.axes[1, 3:6] ** 2).sum()) > 2.0 * push * SWING
-        faces = float(way @ state.attitude[:, 0]) > FACING * distance
+        faces = float(way @ state.attitude[:, 0]) > TOWARDS * distance
         return distance < BESIDE_RADII * radius_m or (faces and not (swings and self.mode is FollowMode.TURN))
 
     def _stopped(self, state: State, attitude: Array, scale: float, now_s: float) -> FailSafeTrajectory | None:

@@ -71,3 +71,32 @@ def test_a_joint_that_is_off_by_a_rounding_stays_where_it_is() -> None:
         states = axes.at(np.linspace(0.0, axes.end_s, 500))
         assert np.abs(states[:, 0, 1:] - 1.0).max() < 1e-8
         assert np.abs(states[:, 1:, 1:]).max() < 1e-8
+
+
+def test_a_smooth_motion_joins_two_states_and_tells_the_jerk_that_it_starts_with() -> None:
+    for seed in range(20):
+        draw = np.random.default_rng(seed)
+        start, goal = draw.normal(size=(2, 3, 3))
+        takes_s, short_s = float(draw.uniform(0.5, 4.0)), 1e-5
+        axes = Axes(10.0, start)
+        jerk = axes.smoothly(goal, takes_s)
+        assert axes.end_s == pytest.approx(10.0 + takes_s)
+        assert axes.at(np.array([10.0]))[0] == pytest.approx(start)
+        assert axes.at(np.array([10.0 + takes_s * (1.0 - 1e-12)]))[0] == pytest.approx(goal, abs=1e-6)
+        time_s = np.linspace(10.0 + short_s, axes.end_s - short_s, 50)
+        before, states, after = (axes.at(time_s + shift) for shift in (-short_s, 0.0, short_s))
+        assert (after - before)[:, :2] / (2.0 * short_s) == pytest.approx(states[:, 1:], abs=1e-4)
+        began = axes.at(np.array([10.0, 10.0 + short_s]))[:, 2]
+        assert np.linalg.norm(np.diff(began, axis=0)) / short_s == pytest.approx(jerk, rel=1e-2)
+
+
+def test_bounds_widen_as_far_as_a_goal_needs_in_either_direction_and_no_bound_narrows() -> None:
+    goal = np.array([[0.0, 0.0, 0.0], [9.0, -9.0, 0.1], [1.0, 1.0, 0.0]])
+    wide = bounds().reaching(goal)
+    assert (wide.highest_velocity[:2] > 9.0).all()
+    assert (wide.lowest_velocity[:2] < -9.0).all()
+    assert (wide.highest_velocity[2], wide.lowest_velocity[2]) == (3.0, -3.0)
+    for side in (1.0, -1.0):
+        axes = Axes(0.0, np.zeros((3, 3)))
+        assert axes.to(side * goal, bounds().reaching(side * goal))
+        assert axes.end == pytest.approx(side * goal, abs=1e-6)

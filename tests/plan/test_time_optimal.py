@@ -12,6 +12,7 @@ from fg_gcs.plan.flux_guided import plan_path
 from fg_gcs.plan.limits import Limits
 from fg_gcs.plan.path.rigid_path import PosePath
 from fg_gcs.plan.path.swarm_path import LinePath
+from fg_gcs.plan.timing.profile import Profile
 from fg_gcs.plan.timing.time_optimal import fine_grid, strictest, time_optimal
 from tests.plan.scenes import PAPER, START
 
@@ -132,3 +133,15 @@ def test_a_start_too_fast_for_a_bend_names_the_bend_and_whose_it_is() -> None:
     assert time_optimal(path, Limits(10.0, 5.0), start_speed=allowed - 0.005).speed[0] == pytest.approx(allowed - 0.005)
     with pytest.raises(PlanError):
         time_optimal(path, Limits(10.0, 5.0), start_speed=allowed + 0.005)
+
+
+def test_the_instants_of_a_profile_run_from_its_start_to_its_very_end_and_none_is_twice() -> None:
+    for way_m in np.linspace(0.3, 60.0, 40):
+        line = LinePath(np.zeros((1, 3)), np.array([[way_m, 0.0, 0.0]]))
+        for window_s, stretch in ((0.0, 1.0), (0.05, 1.3)):
+            profile = Profile(time_optimal(line, Limits(10.0, 5.0)), window_s, stretch)
+            instants = profile.instants(200.0)
+            assert instants[0] == 0.0
+            assert instants[-1] == profile.duration_s
+            assert (np.diff(instants) > 0.0).all()
+            assert np.diff(instants).max() <= stretch / 200.0 * (1.0 + 1e-9)

@@ -10,12 +10,13 @@ from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.formation import Pose, facing, hemisphere
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.run.kinematic import HOLDING, QUIET_S, TICK_S, KinematicSimulation, simulate_kinematics
+from fg_gcs.record.evaluate.tracking import HOLDING
+from fg_gcs.run.kinematic import TICK_S, KinematicSimulation, simulate_kinematics
 from fg_gcs.scenario.motions import Circle, Static, TrueMotion
 from fg_gcs.scenario.sensor import Sensor, SensorSettings
 from fg_gcs.track.estimate.estimator import Settings
 from fg_gcs.track.follow.replanner import RUN_ON_S, FollowMode, Swarm
-from fg_gcs.track.following_core import FollowingCore, TrackingSettings
+from fg_gcs.track.following_core import QUIET_S, FollowingCore, TrackingSettings
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
 FORMATION = hemisphere(4, 1, 6.0)
@@ -57,7 +58,7 @@ def test_a_target_at_rest_is_caught_held_and_nothing_is_broken() -> None:
     assert run.place_m[0] == pytest.approx(START.centre_enu_m - [1.0, 0.0, 0.0])
 
 
-def test_the_same_seed_gives_the_same_rehearsal_and_another_one_another() -> None:
+def test_the_same_seed_gives_the_same_simulation_and_another_one_another() -> None:
     one, same, other = (simulated({"boat": ROUND}, seconds=6.0, seed=seed) for seed in (1, 1, 2))
     assert np.array_equal(one.position_m, same.position_m)
     assert one.replans == same.replans

@@ -62,7 +62,7 @@ def test_every_course_has_its_rows_and_its_own_seeds(simulated: dict[str, list[K
         assert not np.array_equal(one.position_m, other.position_m)
 
 
-def test_the_table_holds_the_rehearsals_figures(simulated: dict[str, list[KinematicSimulation]]) -> None:
+def test_the_table_holds_the_simulations_figures(simulated: dict[str, list[KinematicSimulation]]) -> None:
     rows = {(row[0], row[1]): row[2:] for row in tracking_table(simulated).rows}
     figures = [each.figures() for each in simulated[CIRCLE]]
     rms = [float(str(each.error_rms_m)) for each in figures]
@@ -89,7 +89,7 @@ def test_replanning_times_stand_beside_what_is_required() -> None:
     ]
 
 
-def test_durations_leave_out_the_first_of_each_rehearsal(simulated: dict[str, list[KinematicSimulation]]) -> None:
+def test_durations_leave_out_the_first_of_each_simulation(simulated: dict[str, list[KinematicSimulation]]) -> None:
     runs = simulated[CIRCLE]
     found = durations_ms(runs)
     assert len(found) == sum(len(each.replans) - 1 for each in runs)
@@ -105,7 +105,7 @@ def test_both_swarms_keep_the_separation_and_follow() -> None:
         assert figures.broken == ()
 
 
-def test_the_same_rehearsals_give_the_same_pictures(
+def test_the_same_simulations_give_the_same_pictures(
     simulated: dict[str, list[KinematicSimulation]], tmp_path: Path
 ) -> None:
     drawn = {name: simulated[name][0] for name in DRAWN}
