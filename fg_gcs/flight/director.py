@@ -200,7 +200,7 @@ class Director:
             self.fleet = Fleet(router, found)
             self.result.vehicles = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.profile.name for vehicle in found})
-            self.journal.event("vehicles", f"{vehicles_named(self.fleet.row_of)} ({', '.join(kinds)})")
+            self.journal.event("vehicles", f"{vehicles_named(self.fleet.row_of)} answered ({', '.join(kinds)})")
         return self.fleet
 
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
@@ -295,7 +295,7 @@ class Director:
         try:
             await failsafes.put_back()
         except VehicleError as error:
-            self.journal.event("warning", f"failsafes not put back: {error}")
+            self.journal.event("warning", f"failsafe parameters are not restored: {error}")
 
     def _count(self) -> None:
         vehicles = self.fleet.vehicles if self.fleet else ()

@@ -57,5 +57,6 @@ class Journal:
                 text = vehicle.texts.popleft()
                 self.event("text", f"vehicle {vehicle.address}: {text.text}", severity=text.severity)
             while vehicle.changes:
-                after = vehicle.changes.popleft().after
-                self.event("phase", f"vehicle {vehicle.address}: {after.value}", phase=after.name)
+                change = vehicle.changes.popleft()
+                names = {"phase": change.after.name, "before": change.before.name, "because": change.event.name}
+                self.event("phase", f"vehicle {vehicle.address}: {change.after.value}", **names)

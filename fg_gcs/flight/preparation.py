@@ -81,15 +81,15 @@ async def prepare(fleet: Fleet, recorder: Recorder) -> None:
             "become ready to arm",
         )
     except NotInTime as error:
-        raise VehicleError(_not_ready(error.waiting)) from error
+        raise VehicleError(not_ready(error.waiting)) from error
     armed = [vehicle.address for vehicle in fleet.vehicles if vehicle.armed]
     if armed:
         raise VehicleError(f"already armed, so in use by somebody else: {vehicles_named(armed)}")
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
-    recorder.event(asyncio.get_running_loop().time(), "ready", f"{len(fleet.vehicles)} vehicles ready to arm")
+    recorder.event(asyncio.get_running_loop().time(), "ready", f"{len(fleet.vehicles)} vehicles are ready to arm")
 
 
-def _not_ready(waiting: Sequence[Vehicle]) -> str:
+def not_ready(waiting: Sequence[Vehicle]) -> str:
     """Return which vehicles are not ready, together with those that give the same reasons."""
     by_reason: dict[str, list[VehicleAddress]] = {}
     for vehicle in waiting:

@@ -116,7 +116,7 @@ class Sortie:
         try:
             await self._home_from_anywhere()
         except PlanError as error:
-            raise VehicleError(f"no way home: {error}") from error
+            raise VehicleError(f"there is no way home: {error}") from error
 
     async def bring_down(self, patience: Callable[[Awaitable[None]], Awaitable[None]]) -> None:
         """Get everybody that still obeys onto the ground: home on checked lines if possible, else on the spot.
@@ -251,7 +251,7 @@ class Sortie:
             VehicleError: a vehicle does not do as told.
         """
         if not isinstance(self.streamer.motion, Follow | FormationMotion):
-            raise VehicleError("everybody is above its own pad")
+            raise VehicleError("every vehicle is above its own pad")
         with self._journal.in_stage("home"):
             still = await self._at_rest(self.streamer.motion)
             rows = self._obeying()

@@ -125,7 +125,7 @@ class TargetFollower:
         """
         await self._sources.open()
         for name, endpoint in self._sources.endpoints.items():
-            self._journal.event("open", f"listening for {name} at {endpoint}")
+            self._journal.event("open", f"listening for sightings of {name} at {endpoint}")
 
     def begin(self, origin: Geodetic) -> None:
         """Track from now on, from rest in the start pose; the origin is that of the mission's frame."""
@@ -170,7 +170,7 @@ class TargetFollower:
             self._ended_s = self._time()
             self._write_truth(self._ended_s)
             refused = ", ".join(f"{count} {said(verdict)}" for verdict, count in self._refusals.items())
-            self._journal.event("track", f"{self._count} sightings, refused: {refused or 'none'}")
+            self._journal.event("track", f"{self._count} sightings came; refused: {refused or 'none'}")
         self._sources.close()
 
     @property
@@ -229,7 +229,11 @@ class TargetFollower:
             return f"every target is lost: no sightings for {track.lost_after_s + LOST_SPARE_S:g} s"
         if self.caught_s is None and now_s - self._began_s > track.give_up_s:
             faster = self._is_outrun(now_s)
-            return "the target is faster than the vehicles" if faster else f"not caught within {track.give_up_s:g} s"
+            return (
+                "the target is faster than the vehicles"
+                if faster
+                else f"the target is not caught within {track.give_up_s:g} s"
+            )
         return None
 
     def _patience_s(self, now_s: float) -> float:
@@ -268,7 +272,7 @@ class TargetFollower:
     def _refuse(self, verdict: Verdict, count: int) -> None:
         """Count, and tell the first of a kind: a flood of them must not become a flood of lines."""
         if not self._refusals[verdict]:
-            text = f"sighting refused ({said(verdict)}): {verdict.value}"
+            text = f"first sighting refused as {said(verdict)}: {verdict.value}"
             self._journal.event("refused", text, reason=verdict.name.lower())
         self._refusals[verdict] += count
 
@@ -289,7 +293,9 @@ class TargetFollower:
             self._sighted_s, self._stamp_s = np.fmin(sighted_s, self._sighted_s), np.fmin(stamp_s, self._stamp_s)
             if self._planning.late and not self._told_late:
                 self._told_late = True
-                self._journal.event("notice", f"planning took longer than {LATE_S:g} s; the present trajectory goes on")
+                self._journal.event(
+                    "notice", f"planning takes longer than {LATE_S:g} s; the present trajectory goes on"
+                )
             return
         self._stream(motion.with_trajectory(replan.trajectory, Gaze(now_s, known.position_enu_m, known.velocity_m_s)))
         planned_s = self._time()
@@ -302,7 +308,7 @@ class TargetFollower:
         self._write(replan, known, (now_s, sighted_s, planned_s), core.error_m(now_s))
         self._tell(replan.mode, known)
         if not was_caught and core.caught_s is not None:
-            self._journal.event("track", f"caught after {now_s - self._began_s:.1f} s")
+            self._journal.event("track", f"the target is caught after {now_s - self._began_s:.1f} s")
 
     def _measure(self) -> None:
         """Find out when the first setpoint after the last trajectory left, once it has."""
