@@ -74,7 +74,7 @@ class Director:
         """Prepare to fly; nothing is opened before :meth:`fly`."""
         self.result = FlightResult()
         self.fleet: Fleet | None = None
-        self.journal = Journal(recorder)
+        self.journal = Journal(recorder, asyncio.get_running_loop().time)
         self.target_follower: TargetFollower | None = None
         self.streamer: Streamer | None = None
         self._mission = mission
@@ -205,10 +205,10 @@ class Director:
 
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
         """Get the fleet ready; return the mission's task under the limits that the vehicles really have."""
-        recorder, task = self.journal.recorder, self._mission.task()
-        await prepare(fleet, recorder)
-        limits = await vehicle_limits(fleet, task.rules.limits, recorder)
-        failsafes.append(Failsafes(fleet, recorder))
+        task = self._mission.task()
+        await prepare(fleet, self.journal)
+        limits = await vehicle_limits(fleet, task.rules.limits, self.journal)
+        failsafes.append(Failsafes(fleet, self.journal))
         await failsafes[0].set()
         origin = self._mission.origin_geodetic() if self._knows_origin else None
         fleet.learn_frames(origin, self._mission.pads_enu_m()[0])
@@ -288,7 +288,7 @@ class Director:
 
     async def _drain(self, router: Router) -> None:
         """Write down what vehicles and router say while it happens: run it as a task."""
-        async for _ in ticks(asyncio.get_running_loop().time(), DRAIN_S):
+        async for _ in ticks(self.journal.time(), DRAIN_S):
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
 
     async def _put_back(self, failsafes: Failsafes) -> None:

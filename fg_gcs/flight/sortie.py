@@ -74,7 +74,7 @@ class Sortie:
         self._target_follower: TargetFollower | None = None
         self._tops_m = plan.gather.sample(np.zeros(1)).position_m[0]  # (V, 3) above the pads
         self._known_faults: set[tuple[Kind, tuple[VehicleAddress, ...]]] = set()
-        self._time = asyncio.get_running_loop().time
+        self._time = journal.time
 
     async def fly(self) -> None:
         """Take off, fly all plans, land.

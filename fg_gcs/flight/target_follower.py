@@ -96,7 +96,7 @@ class TargetFollower:
         self._journal = journal
         self._stopwatch = stopwatch
         self._sources = SightingSources(mission.targets or [], self._sighted, self._refused, simulated_endpoint)
-        self._time = asyncio.get_running_loop().time
+        self._time = journal.time
         self._wake = asyncio.Event()
         self._core: FollowingCore | None = None
         self._formation_motion: FormationMotion | None = None
