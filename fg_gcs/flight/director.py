@@ -66,7 +66,7 @@ class Director:
         result: what is known so far.
         fleet: the vehicles, once they are found.
         journal: the present stage and what was said.
-        target follower: of moving targets, once it is ready.
+        target_follower: of moving targets, once it is ready.
         streamer: the source of setpoints, once there is a plan.
     """
 
@@ -89,7 +89,7 @@ class Director:
     def fail(self, context: dict[str, Any]) -> None:
         """Take an exception that came up in a callback of the event loop: a fault of ours, so the flight ends.
 
-        It is raised by :meth:`fly` once everybody is down.
+        It is raised by :meth:`fly` once all vehicles are down.
         """
         error = context.get("exception") or RuntimeError(context["message"])
         if self._failure is None:
@@ -102,10 +102,10 @@ class Director:
             await self.streamer.quiet_moment()
 
     async def fly(self) -> FlightResult:
-        """Fly the mission; returns with everybody that still obeys on the ground.
+        """Fly the mission; returns with every vehicle that still obeys on the ground.
 
         Raises:
-            LinkError: nobody answered, or a port is taken.
+            LinkError: too few vehicles answered, or a port is taken.
             MissionError: the mission's vehicles are in a network that is not there.
             PlanError: the mission has no plan; nothing was armed.
         """

@@ -84,7 +84,7 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
         raise VehicleError(not_ready(error.waiting)) from error
     armed = [vehicle.address for vehicle in fleet.vehicles if vehicle.armed]
     if armed:
-        raise VehicleError(f"already armed, so in use by somebody else: {vehicles_named(armed)}")
+        raise VehicleError(f"armed already, by another ground station: {vehicles_named(armed)}")
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
     journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")
 

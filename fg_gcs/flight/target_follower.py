@@ -26,7 +26,7 @@ from fg_gcs.track.following_core import FollowingCore, TrackingSettings
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
 QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same: what is unknown grows
-LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before everybody goes home for it
+LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before the swarm goes home for it
 TRUTH_S = 0.02  # between instants for which true positions are written down: the stream's usual period
 KEPT = frozenset({Verdict.TAKEN, Verdict.TENTATIVE})  # any other verdict is a refusal
 
@@ -41,7 +41,7 @@ class TrackingStatus(NamedTuple):
     growth: float  # size of the formation as a share of that at the start
     rests: bool  # the formation has come to the end of its trajectory: it stands until there is another one
     caught: bool  # the formation has been around the target
-    patience_s: float  # after so much more without a sighting, or without the capture, everybody goes home
+    patience_s: float  # after so much more without a sighting, or without the capture, the swarm goes home
     sightings: int  # all that came so far
     refused: dict[Verdict, int]
     latency_s: float  # from the last sighting's stamp to when the first setpoint that it led to had left; NaN: none yet
@@ -153,7 +153,7 @@ class TargetFollower:
                 await self._replan(self._core, self._formation_motion)
 
     def stop(self) -> tuple[FormationMotion, float]:
-        """Track no longer, and come to rest; return the motion, and the loop's time at which everybody rests [s]."""
+        """Track no longer, and come to rest; return the motion, and the time at which the formation rests [s]."""
         assert self._core is not None, "only what has begun is stopped"
         motion, now_s = self._formation_motion, self._time()
         assert motion is not None, "likewise"
@@ -180,7 +180,7 @@ class TargetFollower:
 
     @property
     def gaze_enu_m(self) -> Array:
-        """The point that everybody looks at now, shape (3,) [m; ENU]."""
+        """The point that all noses are turned to now, shape (3,) [m; ENU]."""
         return (
             self._task.target_enu_m if self._formation_motion is None else self._formation_motion.gaze.at(self._time())
         )
@@ -237,7 +237,7 @@ class TargetFollower:
         return None
 
     def _patience_s(self, now_s: float) -> float:
-        """Return how much longer nothing may be seen before everybody goes home [s]."""
+        """Return how much longer nothing may be seen before the swarm goes home [s]."""
         track = self._track
         seen = self._taken_s > self._began_s
         soon = track.on_lost == "home" and seen
@@ -284,7 +284,7 @@ class TargetFollower:
     async def _replan(self, core: FollowingCore, motion: FormationMotion) -> None:
         now_s, began_s, was_caught = self._time(), self._stopwatch(), core.caught_s is not None
         known = core.known(now_s)
-        if known is None:  # nobody has been seen yet
+        if known is None:  # no target has been seen yet
             return
         sighted_s, stamp_s = self._sighted_s, self._stamp_s
         self._sighted_s = self._stamp_s = np.nan  # what comes from now on is for the next trajectory
@@ -343,7 +343,7 @@ class TargetFollower:
         return self._core.replanner.chases(Goal(known.prediction, 1.0))
 
     def _write_truth(self, until_s: float) -> None:
-        """Write down where the targets truly were, as far as anybody knows."""
+        """Write down where the targets truly were, as far as that is known."""
         time_s = np.arange(self._began_s, until_s, TRUTH_S)
         truth = self._sources.truth(time_s)
         if truth is None or not len(time_s):

@@ -103,7 +103,7 @@ class Router:
             tap: Gets every frame in both directions, unknown ones included, with the loop time [s]: the recorder.
 
         Raises:
-            LinkError: A port is taken, or nobody listens; nothing stays open.
+            LinkError: A port is taken, or a connection is refused; nothing stays open.
         """
         router = cls(asyncio.get_running_loop().time, on_message, tap)
         try:

@@ -51,7 +51,7 @@ class Request:
         new_mode: The mode that the vehicle will change to, None if it stays.
         resend_s: Send again after this long without success [s].
         deadline_s: Give up after this long [s].
-        optional: Nobody minds a refusal: the dialogue counts as done.
+        optional: A refusal does no harm: the dialogue counts as done.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Dialogue:
         self._refused_s: float | None = None
 
     def step(self, now_s: float) -> Message | None:
-        """Look at the vehicle; return the message to send now, if any.
+        """Compare with the vehicle's telemetry; return the message to send now, if any.
 
         The first step always sends, even if the telemetry already shows success: it may be a second old.
 
@@ -254,7 +254,7 @@ def set_message_interval(message_id: int, rate_hz: float, *, optional: bool = Tr
     Args:
         message_id: MAVLink message id.
         rate_hz: Rate [Hz]; negative switches the stream off.
-        optional: Nobody minds a refusal.
+        optional: A refusal does no harm.
     """
     interval_us = round(1e6 / rate_hz) if rate_hz > 0.0 else -1
     command = dialect.MAV_CMD_SET_MESSAGE_INTERVAL

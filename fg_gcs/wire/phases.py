@@ -29,7 +29,7 @@ class PhaseEvent(Enum):
     ARMED = "its motors are armed"
     DISARMED = "its motors are not armed"
     AIRBORNE = "its landed state says that it is off the ground"
-    LANDING_BEGAN = "it is in its land mode and nobody but us put it there"
+    LANDING_BEGAN = "it is in its land mode, and only we can have put it there"
     TAKEN_OVER = "it is in a mode that we did not command"
 
 

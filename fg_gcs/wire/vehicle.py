@@ -211,7 +211,7 @@ class Vehicle:
         yield PhaseEvent.ARMED if self.armed else PhaseEvent.DISARMED
         if self.airborne:
             yield PhaseEvent.AIRBORNE
-        # On the ground again after our landing it leaves its land mode by itself as it disarms: nobody took it
+        # On the ground again after our landing it leaves its land mode by itself as it disarms: that is no take-over
         down = self.phase is Phase.LANDING and not self.airborne
         if self._accepted_modes is not None and self.mode not in self._accepted_modes and not down:
             yield PhaseEvent.TAKEN_OVER

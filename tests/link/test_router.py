@@ -134,7 +134,7 @@ def test_only_autopilots_become_vehicles() -> None:
     virtually(main)
 
 
-def test_manners_phase_and_messages_reach_who_asked() -> None:
+def test_profile_phase_and_messages_are_handed_on() -> None:
     async def main() -> None:
         seen: list[tuple[int, str, float]] = []
         taps: list[tuple[Direction, bytes, float]] = []

@@ -21,7 +21,7 @@ def test_mode_numbers_as_seen_on_the_wire() -> None:
     assert (ARDUPILOT.modes["GUIDED"], ARDUPILOT.modes["LAND"], ARDUPILOT.modes["BRAKE"]) == (4, 9, 17)
 
 
-def test_manners_are_chosen_by_the_heartbeat() -> None:
+def test_profiles_are_chosen_by_the_heartbeat() -> None:
     def heartbeat(kind: int, autopilot: int) -> dialect.MAVLink_heartbeat_message:
         return dialect.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3)
 
