@@ -187,7 +187,7 @@ def land() -> Request:
         return _refusal_of(command)(vehicle, since_s)
 
     return Request(
-        "land",
+        "begin to land",
         build=build,
         satisfied=lambda vehicle, since_s: vehicle.mode == vehicle.profile.land_mode or not vehicle.armed,
         refused=refused,

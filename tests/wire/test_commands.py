@@ -287,3 +287,35 @@ def test_our_heartbeat_is_that_of_a_ground_station() -> None:
     (message,) = Codec().receive(Sender().pack(commands.heartbeat()))
     assert (message.type, message.autopilot) == (dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID)
     assert (message.get_srcSystem(), message.get_srcComponent()) == (255, 190)
+
+
+@pytest.mark.parametrize(
+    ("request_", "said"),
+    [
+        (commands.arm(), "vehicle 4 did not arm within 5 s"),
+        (commands.disarm(), "vehicle 4 did not disarm within 5 s"),
+        (commands.set_mode(4), "vehicle 4 did not change its mode within 5 s"),
+        (commands.land(), "vehicle 4 did not begin to land within 5 s"),
+        (commands.take_off(4.0), "vehicle 4 did not take off: it disarmed before lift-off"),
+        (commands.request_origin(), "vehicle 4 did not send message 49 within 5 s"),
+        (
+            commands.set_message_interval(32, 50.0, optional=False),
+            "vehicle 4 did not change the interval of message 32 within 5 s",
+        ),
+        (commands.read_parameter("FS_GCS_ENABLE"), "vehicle 4 did not tell its parameter FS_GCS_ENABLE within 3 s"),
+        (
+            commands.write_parameter("FS_GCS_ENABLE", 5.0),
+            "vehicle 4 did not set its parameter FS_GCS_ENABLE to 5 within 5 s",
+        ),
+    ],
+    ids=lambda value: value.name if isinstance(value, Request) else "",
+)
+def test_what_a_vehicle_did_not_do_is_a_sentence(request_: Request, said: str) -> None:
+    vehicle = ardupilot()
+    vehicle.armed = request_.name not in ("arm", "take off")
+    assert run(vehicle, request_, silent)[0].reason == said
+
+
+def test_a_vehicle_of_a_named_network_is_told_with_it() -> None:
+    vehicle = Vehicle(VehicleAddress("west", 4), PX4, 0.0)
+    assert run(vehicle, commands.arm(), silent)[0].reason == "vehicle west/4 did not arm within 5 s"
