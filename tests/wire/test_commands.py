@@ -319,3 +319,36 @@ def test_what_a_vehicle_did_not_do_is_a_sentence(request_: Request, said: str) -
 def test_a_vehicle_of_a_named_network_is_told_with_it() -> None:
     vehicle = Vehicle(VehicleAddress("west", 4), PX4, 0.0)
     assert run(vehicle, commands.arm(), silent)[0].reason == "vehicle west/4 did not arm within 5 s"
+
+
+def test_the_take_off_command_says_nothing_but_the_height() -> None:
+    vehicle = ardupilot()
+    vehicle.armed = True
+    _, sent, _ = run(vehicle, commands.take_off(4.0), silent)
+    (command,) = sent
+    assert [getattr(command, f"param{number}") for number in range(1, 8)] == [0.0] * 6 + [4.0]
+
+
+def test_an_answer_of_the_very_instant_of_the_question_is_to_an_earlier_one() -> None:
+    """An answer takes a while at least: what is there already when the question leaves cannot be it."""
+    vehicle, now_s = ardupilot(), 10.0
+    dialogues = [
+        Dialogue(vehicle, request)
+        for request in (commands.arm(), commands.request_origin(), commands.read_parameter("FS_GCS_ENABLE"))
+    ]
+    for dialogue in dialogues:
+        assert dialogue.step(now_s) is not None
+    said = (
+        ack(400, 4),
+        dialect.MAVLink_gps_global_origin_message(0, 0, 0),
+        dialect.MAVLink_param_value_message(b"FS_GCS_ENABLE", 5.0, 9, 1, 0),
+        dialect.MAVLink_param_error_message(255, 190, b"FS_GCS_ENABLE", -1, 1),
+    )
+    sender, codec = Sender(vehicle.system_id, 1), Codec()
+    for message in said:
+        for heard in codec.receive(sender.pack(message)):
+            vehicle.handle(heard, now_s)
+    for wait_s in (0.02, 0.45):
+        for dialogue in dialogues:
+            assert dialogue.step(now_s + wait_s) is None
+    assert [dialogue.state for dialogue in dialogues] == [State.PENDING] * 3
