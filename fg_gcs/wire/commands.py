@@ -15,7 +15,6 @@ from fg_gcs.wire.codec import Message
 from fg_gcs.wire.vehicle import Vehicle
 
 _AUTOPILOT: Final[int] = dialect.MAV_COMP_ID_AUTOPILOT1
-_FORCE: Final = 21196.0  # MAVLink's magic number: disarm in the air, too
 _WARNING: Final[int] = dialect.MAV_SEVERITY_WARNING  # texts up to this severity tell why something was refused
 _REFUSALS: Final = {
     dialect.MAV_RESULT_TEMPORARILY_REJECTED: "temporarily rejected",  # PX4's way
@@ -152,11 +151,11 @@ def arm() -> Request:
     )
 
 
-def disarm(*, force: bool = False) -> Request:
-    """Disarm; with ``force`` also in the air, where it falls."""
+def disarm() -> Request:
+    """Disarm; refused in the air, and nothing here forces it: the vehicle would fall."""
     return Request(
         "disarm",
-        build=lambda vehicle: _command(vehicle, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE if force else 0.0),
+        build=lambda vehicle: _command(vehicle, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0),
         satisfied=lambda vehicle, since_s: not vehicle.armed,
         refused=_refusal_of(dialect.MAV_CMD_COMPONENT_ARM_DISARM),
     )

@@ -275,12 +275,11 @@ def test_a_written_value_that_comes_back_different_is_not_done() -> None:
     assert dialogue.state is State.TIMED_OUT
 
 
-def test_forced_disarming_carries_the_magic_number() -> None:
-    for force, magic in ((False, 0.0), (True, 21196.0)):
-        vehicle = px4()
-        vehicle.armed = True
-        _, sent, _ = run(vehicle, commands.disarm(force=force), silent)
-        assert (sent[0].command, sent[0].param1, sent[0].param2) == (400, 0.0, magic)
+def test_disarming_is_never_forced() -> None:
+    vehicle = px4()
+    vehicle.armed = True
+    _, sent, _ = run(vehicle, commands.disarm(), silent)
+    assert (sent[0].command, sent[0].param1, sent[0].param2) == (400, 0.0, 0.0)  # 21196 would stop motors in the air
 
 
 def test_our_heartbeat_is_that_of_a_ground_station() -> None:
@@ -334,12 +333,18 @@ def test_an_answer_of_the_very_instant_of_the_question_is_to_an_earlier_one() ->
     vehicle, now_s = ardupilot(), 10.0
     dialogues = [
         Dialogue(vehicle, request)
-        for request in (commands.arm(), commands.request_origin(), commands.read_parameter("FS_GCS_ENABLE"))
+        for request in (
+            commands.arm(),
+            commands.request_origin(),
+            commands.read_parameter("FS_GCS_ENABLE"),
+            commands.set_message_interval(32, 50.0),
+        )
     ]
     for dialogue in dialogues:
         assert dialogue.step(now_s) is not None
     said = (
         ack(400, 4),
+        ack(511, 0),
         dialect.MAVLink_gps_global_origin_message(0, 0, 0),
         dialect.MAVLink_param_value_message(b"FS_GCS_ENABLE", 5.0, 9, 1, 0),
         dialect.MAVLink_param_error_message(255, 190, b"FS_GCS_ENABLE", -1, 1),
@@ -351,4 +356,4 @@ def test_an_answer_of_the_very_instant_of_the_question_is_to_an_earlier_one() ->
     for wait_s in (0.02, 0.45):
         for dialogue in dialogues:
             assert dialogue.step(now_s + wait_s) is None
-    assert [dialogue.state for dialogue in dialogues] == [State.PENDING] * 3
+    assert [dialogue.state for dialogue in dialogues] == [State.PENDING] * 4
