@@ -78,7 +78,7 @@ class Director:
         """Prepare to fly; nothing is opened before :meth:`fly`."""
         self.result = FlightResult()
         self.fleet: Fleet | None = None
-        self.journal = Journal(recorder)
+        self.journal = Journal(recorder, asyncio.get_running_loop().time)
         self.target_follower: TargetFollower | None = None
         self.streamer: Streamer | None = None
         self.in_good_moments: Callable[[float], None] | None = None
@@ -95,7 +95,7 @@ class Director:
     def fail(self, context: dict[str, Any]) -> None:
         """Take an exception that came up in a callback of the event loop: a fault of ours, so the flight ends.
 
-        It is raised by :meth:`fly` once everybody is down.
+        It is raised by :meth:`fly` once all vehicles are down.
         """
         error = context.get("exception") or RuntimeError(context["message"])
         if self._failure is None:
@@ -121,10 +121,10 @@ class Director:
         return {row: place for row, place in zip(streamer.motion.rows, places, strict=True) if streamer.engaged(row)}
 
     async def fly(self) -> FlightResult:
-        """Fly the mission; returns with everybody that still obeys on the ground.
+        """Fly the mission; returns with every vehicle that still obeys on the ground.
 
         Raises:
-            LinkError: nobody answered, or a port is taken.
+            LinkError: too few vehicles answered, or a port is taken.
             MissionError: the mission's vehicles are in a network that is not there.
             PlanError: the mission has no plan; nothing was armed.
         """
@@ -220,15 +220,15 @@ class Director:
             self.fleet = Fleet(router, found)
             self.result.vehicles = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.profile.name for vehicle in found})
-            self.journal.event("vehicles", f"{vehicles_named(self.fleet.row_of)} ({', '.join(kinds)})")
+            self.journal.event("vehicles", f"{vehicles_named(self.fleet.row_of)} answered ({', '.join(kinds)})")
         return self.fleet
 
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
         """Get the fleet ready; return the mission's task under the limits that the vehicles really have."""
-        recorder, task = self.journal.recorder, self.mission.task()
-        await prepare(fleet, recorder)
-        limits = await vehicle_limits(fleet, task.rules.limits, recorder)
-        failsafes.append(Failsafes(fleet, recorder))
+        task = self.mission.task()
+        await prepare(fleet, self.journal)
+        limits = await vehicle_limits(fleet, task.rules.limits, self.journal)
+        failsafes.append(Failsafes(fleet, self.journal))
         await failsafes[0].set()
         origin = self.mission.origin_geodetic() if self._knows_origin else None
         fleet.learn_frames(origin, self.mission.pads_enu_m()[0])
@@ -308,10 +308,10 @@ class Director:
 
     async def _drain(self, router: Router) -> None:
         """Write down what vehicles and router say while it happens: run it as a task."""
-        async for _ in ticks(asyncio.get_running_loop().time(), DRAIN_S):
+        async for _ in ticks(self.journal.time(), DRAIN_S):
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
             if self.streamer is None or not self.streamer.streams:
-                self._good_moment(asyncio.get_running_loop().time())
+                self._good_moment(self.journal.time())
 
     def _good_moment(self, now_s: float) -> None:
         if self.in_good_moments is not None:
@@ -321,7 +321,7 @@ class Director:
         try:
             await failsafes.put_back()
         except VehicleError as error:
-            self.journal.event("warning", f"failsafes not put back: {error}")
+            self.journal.event("warning", f"failsafe parameters are not restored: {error}")
 
     def _count(self) -> None:
         vehicles = self.fleet.vehicles if self.fleet else ()

@@ -16,7 +16,7 @@ from fg_gcs.wire.address import vehicles_named
 from fg_gcs.wire.commands import Dialogue, Request, State
 from fg_gcs.wire.vehicle import Vehicle
 
-STEP_S = 0.02  # dialogues and conditions are looked at this often: faster than any acknowledgement but PX4's first
+STEP_S = 0.02  # dialogues and conditions are checked this often: faster than any acknowledgement but PX4's first
 
 
 class Fleet:
@@ -128,8 +128,8 @@ class NotInTime(VehicleError):
 
     def __init__(self, waiting: Sequence[Vehicle], what: str, timeout_s: float) -> None:
         self.waiting, self.what, self.timeout_s = tuple(waiting), what, timeout_s
-        who = vehicles_named(vehicle.address for vehicle in waiting)
-        super().__init__(f"{who} did not {what} within {timeout_s:g} s")
+        subject = vehicles_named(vehicle.address for vehicle in waiting)
+        super().__init__(f"{subject} did not {what} within {timeout_s:g} s")
 
 
 async def until(vehicles: Iterable[Vehicle], condition: Callable[[Vehicle], bool], timeout_s: float, what: str) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from fg_gcs.link.router import Router
@@ -14,39 +13,40 @@ STAGES = ("connect", "prepare", "plan", "take-off", "gather", "approach", "hold"
 
 
 class Journal:
-    """Writes events with the loop's time.
+    """Writes events with the flight's time, and keeps its clock.
 
     Attributes:
+        time: the flight's clock, that of the loop it runs on [s].
         stage: the present stage.
         stages: begin and end of every stage so far, since the run's start [s].
         stage_begins_s: the loop's time at which the present stage began.
         stage_ends_s: the loop's time at which the present stage should end, where that is known.
     """
 
-    def __init__(self, recorder: Recorder) -> None:
-        """Write into the run's recorder."""
+    def __init__(self, recorder: Recorder, time: Callable[[], float]) -> None:
+        """Write into the run's recorder, by a clock [s]."""
+        self.time = time
         self.recorder = recorder
         self.stage = STAGES[0]
         self.stages: dict[str, tuple[float, float]] = {}
         self.stage_ends_s: float | None = None
-        self._time = asyncio.get_running_loop().time
-        self.stage_begins_s = self._time()
+        self.stage_begins_s = self.time()
 
     def event(self, kind: str, text: str, **data: object) -> None:
         """Write down what happened now."""
-        self.recorder.event(self._time(), kind, text, **data)
+        self.recorder.event(self.time(), kind, text, **data)
 
     @contextmanager
     def in_stage(self, stage: str) -> Iterator[None]:
         """Mark what runs inside as one stage of the flight."""
-        self.stage, self.stage_begins_s, self.stage_ends_s = stage, self._time(), None
-        began_s = self.recorder.since_start_s(self._time())
+        self.stage, self.stage_begins_s, self.stage_ends_s = stage, self.time(), None
+        began_s = self.recorder.since_start_s(self.time())
         begin_s = self.stages.get(stage, (began_s, began_s))[0]  # a way home broken off goes on as another way home
         self.event("stage", stage, stage=stage)
         try:
             yield
         finally:
-            self.stages[stage] = (begin_s, self.recorder.since_start_s(self._time()))
+            self.stages[stage] = (begin_s, self.recorder.since_start_s(self.time()))
 
     def drain(self, router: Router, vehicles: Iterable[Vehicle]) -> None:
         """Take out and write down what the router and the vehicles have to say."""
@@ -57,5 +57,6 @@ class Journal:
                 text = vehicle.texts.popleft()
                 self.event("text", f"vehicle {vehicle.address}: {text.text}", severity=text.severity)
             while vehicle.changes:
-                after = vehicle.changes.popleft().after
-                self.event("phase", f"vehicle {vehicle.address}: {after.value}", phase=after.name)
+                change = vehicle.changes.popleft()
+                names = {"phase": change.after.name, "before": change.before.name, "because": change.event.name}
+                self.event("phase", f"vehicle {vehicle.address}: {change.after.value}", **names)

@@ -79,7 +79,7 @@ class Follow:
 
     def at(self, now_s: float) -> SwarmSetpoint:
         """Return the plan's sample."""
-        return _looking(self.plan, *_row(self.plan.sample(np.array([now_s - self.start_s]))))
+        return _facing(self.plan, *_row(self.plan.sample(np.array([now_s - self.start_s]))))
 
 
 class Brake:
@@ -114,7 +114,7 @@ class Brake:
         plan_s = self._begin_s + passed * (1.0 + rate) / 2.0
         position, velocity, acceleration = _row(self._plan.sample(np.array([plan_s])))
         braking = velocity / -self._duration_s if rate > 0.0 else np.zeros_like(velocity)
-        return _looking(self._plan, position, velocity * rate, acceleration * rate**2 + braking)
+        return _facing(self._plan, position, velocity * rate, acceleration * rate**2 + braking)
 
 
 class Gaze(NamedTuple):
@@ -140,7 +140,7 @@ class FormationMotion:
         rows: The fleet's rows that it moves.
         slots_m: Template slot of each, shape (V, 3) [m].
         trajectory: The formation's.
-        gaze: Where to look.
+        gaze: Where noses point.
         heading: Horizontal direction of a nose that is straight above or below the gaze, shape (2,) [ENU].
         turns_from: Headings when tracking began: the target's estimate jumps, noses must not.
     """
@@ -162,7 +162,7 @@ class FormationMotion:
             rows: The fleet's rows that it moves.
             slots_m: Template slot of each, shape (V, 3) [m].
             trajectory: The one that begins now.
-            gaze_enu_m: Where to look at first, shape (3,) [m; ENU].
+            gaze_enu_m: Where noses point at first, shape (3,) [m; ENU].
             headings: The present ones, at the present time.
         """
         bearing = (gaze_enu_m - trajectory.state(headings.time_s).axes[0, :3])[:2]
@@ -181,8 +181,8 @@ class FormationMotion:
         return SwarmSetpoint(position[0], velocity[0], acceleration[0], yaw_rad)
 
 
-def _looking(plan: CheckedPlan, position_m: Array, velocity_m_s: Array, acceleration_m_s2: Array) -> SwarmSetpoint:
-    """Complete a sample by the headings that look at the plan's target."""
+def _facing(plan: CheckedPlan, position_m: Array, velocity_m_s: Array, acceleration_m_s2: Array) -> SwarmSetpoint:
+    """Complete a sample by the headings that face the plan's target."""
     return SwarmSetpoint(position_m, velocity_m_s, acceleration_m_s2, plan.yaw_rad(position_m))
 
 

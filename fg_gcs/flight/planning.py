@@ -35,11 +35,11 @@ class Planning:
             await self._streamer.quiet_moment()
 
     async def result(self, steps: Iterator[Replan | None], is_over: Callable[[], bool]) -> Replan | None:
-        """Return what steps lead to; None if there are none, if it is over, or if it comes too late.
+        """Return what steps lead to; None if there are no steps, if it is over, or if it comes too late.
 
         Args:
             steps: None after each that led to nothing yet, see :meth:`.FollowingCore.replanning`.
-            is_over: says whether nobody wants the plan any more.
+            is_over: says whether the plan is no longer wanted.
         """
         time = asyncio.get_running_loop().time
         began_s = begun_s = time()

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from fg_gcs.errors import LinkError, VehicleError
 from fg_gcs.flight.fleet import STEP_S, Fleet, NotInTime, until
+from fg_gcs.flight.journal import Journal
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Router
 from fg_gcs.plan.limits import Limits
-from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import VehicleAddress, names, vehicles_named
 from fg_gcs.wire.autopilots import FailsafeParameter, TakeOff
 from fg_gcs.wire.commands import (
@@ -56,7 +56,7 @@ async def discover(
     raise LinkError(f"{answered}; the mission needs {names(wanted) if wanted else f'{count} of them'}")
 
 
-async def prepare(fleet: Fleet, recorder: Recorder) -> None:
+async def prepare(fleet: Fleet, journal: Journal) -> None:
     """Get every vehicle ready to arm, its streams flowing and its origin known.
 
     ArduPilot's readiness counts for its present mode only, so it is put into its streaming mode first.
@@ -81,15 +81,15 @@ async def prepare(fleet: Fleet, recorder: Recorder) -> None:
             "become ready to arm",
         )
     except NotInTime as error:
-        raise VehicleError(_not_ready(error.waiting)) from error
+        raise VehicleError(not_ready(error.waiting)) from error
     armed = [vehicle.address for vehicle in fleet.vehicles if vehicle.armed]
     if armed:
-        raise VehicleError(f"already armed, so in use by somebody else: {vehicles_named(armed)}")
+        raise VehicleError(f"armed already, by another ground station: {vehicles_named(armed)}")
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
-    recorder.event(asyncio.get_running_loop().time(), "ready", f"{len(fleet.vehicles)} vehicles ready to arm")
+    journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")
 
 
-def _not_ready(waiting: Sequence[Vehicle]) -> str:
+def not_ready(waiting: Sequence[Vehicle]) -> str:
     """Return which vehicles are not ready, together with those that give the same reasons."""
     by_reason: dict[str, list[VehicleAddress]] = {}
     for vehicle in waiting:
@@ -99,7 +99,7 @@ def _not_ready(waiting: Sequence[Vehicle]) -> str:
     return f"not ready to arm within {READY_S:g} s: {', '.join(groups)}"
 
 
-async def vehicle_limits(fleet: Fleet, limits: Limits, recorder: Recorder) -> Limits:
+async def vehicle_limits(fleet: Fleet, limits: Limits, journal: Journal) -> Limits:
     """Return the mission's limits, lowered to what the vehicles' own parameters allow.
 
     Jerk is among them where an autopilot shapes streamed setpoints by it. ArduCopter does in GUIDED: whatever the mask,
@@ -131,17 +131,17 @@ async def vehicle_limits(fleet: Fleet, limits: Limits, recorder: Recorder) -> Li
     for quantity, (value, name, address) in lowest.items():
         if value < getattr(limits, quantity):
             text = f"{quantity} lowered to {value:g} by {name} of vehicle {address}"
-            recorder.event(asyncio.get_running_loop().time(), "limit", text)
+            journal.event("limit", text)
     return limits.lowered_to(**{quantity: value for quantity, (value, _, _) in lowest.items()})
 
 
 class Failsafes:
     """What the vehicles do when we fall silent: set before arming, put back after the flight."""
 
-    def __init__(self, fleet: Fleet, recorder: Recorder) -> None:
+    def __init__(self, fleet: Fleet, journal: Journal) -> None:
         """Touch nothing yet."""
         self._fleet = fleet
-        self._recorder = recorder
+        self._journal = journal
         self._found: list[tuple[Vehicle, str, float]] = []
 
     async def set(self) -> None:
@@ -176,15 +176,14 @@ class Failsafes:
         Raises:
             VehicleError: a vehicle does not take its old value back.
         """
-        loop = asyncio.get_running_loop()
-        heard = [vehicle for vehicle in self._fleet.vehicles if loop.time() - vehicle.heard_at_s < 1.0]
+        now_s = self._journal.time()
+        heard = [vehicle for vehicle in self._fleet.vehicles if now_s - vehicle.heard_at_s < 1.0]
         await self._fleet.ask(
             heard,
             lambda vehicle: [write_parameter(name, value) for owner, name, value in self._found if owner is vehicle],
         )
 
     def _report(self) -> None:
-        now_s = asyncio.get_running_loop().time()
         groups: dict[tuple[str, float, float | None, str], list[VehicleAddress]] = {}
         changed = {(vehicle.address, name): value for vehicle, name, value in self._found}
         for vehicle in self._fleet.vehicles:
@@ -197,7 +196,7 @@ class Failsafes:
         for (name, found, to, reason), addresses in groups.items():
             change = "" if to is None else f", set to {to:g} for this flight"
             kind = "found" if to is None else "failsafe"
-            self._recorder.event(now_s, kind, f"{name} = {found:g}{change} on {vehicles_named(addresses)} ({reason})")
+            self._journal.event(kind, f"{name} = {found:g}{change} on {vehicles_named(addresses)} ({reason})")
 
 
 def _to_change(vehicle: Vehicle, failsafe: FailsafeParameter) -> bool:

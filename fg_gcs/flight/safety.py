@@ -41,7 +41,7 @@ class Action(Enum):
 
 CONSEQUENCES: dict[Kind, Action] = {
     Kind.LOST: Action.ABORT,
-    Kind.TAKEN: Action.ABORT,  # somebody wants it: hands off that one, and without it the formation verifies nothing
+    Kind.TAKEN: Action.ABORT,  # whoever took it keeps it, and without it the formation verifies nothing
     Kind.DISARMED: Action.ABORT,
     Kind.SEPARATION: Action.ABORT,
     Kind.FENCE: Action.ABORT,

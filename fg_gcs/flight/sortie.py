@@ -26,7 +26,7 @@ from fg_gcs.wire.commands import arm, disarm, land, set_mode, take_off
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
-WATCH_S = 0.1  # faults are looked for this often: at 10 m/s a metre of way
+WATCH_S = 0.1  # faults are sought this often: at 10 m/s a metre of way
 ARRIVED_M = 1.0  # a vehicle this close to where it should rest has arrived: real PX4 wanders by 0.5 m while it hovers
 STILL_M = 0.1  # and this close it has settled; plans start from there, or after STILL_S all the same
 STILL_S = 3.0
@@ -36,7 +36,7 @@ CLIMB_M_S = 0.5  # slowest climb to wait for at take-off
 SINK_M_S = 0.3  # slowest landing: PX4's last metre
 LANDING_SPARE_S = 20.0  # on top: switching modes, detecting the ground, disarming 2 s later
 
-WATCHED = {  # on the way up everybody is still below the floor, and who disarms there is told by the take-off itself
+WATCHED = {  # on the way up all are still below the floor, and the take-off itself reports one that disarms there
     "take-off": frozenset(Kind) - {Kind.FENCE, Kind.DISARMED},
     **dict.fromkeys(("gather", "approach", "hold", "home"), frozenset(Kind)),
 }
@@ -74,7 +74,7 @@ class Sortie:
         self._target_follower: TargetFollower | None = None
         self._tops_m = plan.gather.sample(np.zeros(1)).position_m[0]  # (V, 3) above the pads
         self._known_faults: set[tuple[Kind, tuple[VehicleAddress, ...]]] = set()
-        self._time = asyncio.get_running_loop().time
+        self._time = journal.time
 
     async def fly(self) -> None:
         """Take off, fly all plans, land.
@@ -82,18 +82,18 @@ class Sortie:
         Raises:
             VehicleError: a vehicle refused, or did not do what it was told in time.
         """
-        everybody = range(len(self._fleet.vehicles))
-        await self._gather(everybody)
+        all_rows = range(len(self._fleet.vehicles))
+        await self._gather(all_rows)
         with self._journal.in_stage("approach"):
-            await self._stream(everybody, self._plan.approach)
+            await self._stream(all_rows, self._plan.approach)
         with self._journal.in_stage("hold"):
             self._journal.stage_ends_s = self._time() + self._mission.hold.duration_s
             await asyncio.sleep(self._mission.hold.duration_s)
         with self._journal.in_stage("home"):
-            await self._stream(everybody, self._plan.home)
-            await self._settle(everybody, "the places above the pads")
+            await self._stream(all_rows, self._plan.home)
+            await self._settle(all_rows, "the places above the pads")
         with self._journal.in_stage("land"):
-            await self._land(everybody)
+            await self._land(all_rows)
 
     async def track(self, target_follower: TargetFollower, origin: Geodetic) -> None:
         """Take off, gather, catch what moves and stay around it, fly home from there, land.
@@ -116,10 +116,10 @@ class Sortie:
         try:
             await self._home_from_anywhere()
         except PlanError as error:
-            raise VehicleError(f"no way home: {error}") from error
+            raise VehicleError(f"there is no way home: {error}") from error
 
     async def bring_down(self, patience: Callable[[Awaitable[None]], Awaitable[None]]) -> None:
-        """Get everybody that still obeys onto the ground: home on checked lines if possible, else on the spot.
+        """Get every vehicle that still obeys onto the ground: home on checked lines if possible, else on the spot.
 
         Args:
             patience: runs the way home and raises :class:`VehicleError` when it is interrupted once more.
@@ -159,28 +159,28 @@ class Sortie:
 
     # --- as planned ----------------------------------------------------------------------------------------------
 
-    async def _gather(self, everybody: Sequence[int]) -> None:
+    async def _gather(self, all_rows: Sequence[int]) -> None:
         with self._journal.in_stage("take-off"):
             await self._take_off()
         with self._journal.in_stage("gather"):
-            await self._stream(everybody, self._plan.gather)
-            await self._settle(everybody, "the formation")
+            await self._stream(all_rows, self._plan.gather)
+            await self._settle(all_rows, "the formation")
 
     async def _take_off(self) -> None:
-        """Lift everybody to the place above its pad, each autopilot in its own way."""
+        """Lift every vehicle to the place above its pad, each autopilot in its own way."""
         fleet, streamer = self._fleet, self.streamer
-        everybody = range(len(fleet.vehicles))
+        all_rows = range(len(fleet.vehicles))
         by_setpoint = [v for v in fleet.vehicles if v.profile.take_off is TakeOff.BY_SETPOINT]
         by_command = [v for v in fleet.vehicles if v.profile.take_off is TakeOff.BY_COMMAND]
         height_m = self._mission.takeoff.height_m
         ground = fleet.positions_enu_m()
-        streamer.motion = Rest(everybody, ground, self._plan.gather.yaw_rad(ground))
+        streamer.motion = Rest(all_rows, ground, self._plan.gather.yaw_rad(ground))
         streamer.engage(fleet.row_of[v.address] for v in by_setpoint)
         await fleet.ask(fleet.vehicles, lambda vehicle: [set_mode(vehicle.profile.streaming_mode), arm()])
-        streamer.motion = Rest(everybody, self._tops_m, self._plan.gather.yaw_rad(self._tops_m))
+        streamer.motion = Rest(all_rows, self._tops_m, self._plan.gather.yaw_rad(self._tops_m))
         await fleet.ask(by_command, lambda vehicle: [take_off(height_m, CLIMB_M_S)])
-        streamer.engage(everybody)  # the last of them is in the air: setpoints cancel no take-off any more
-        await self._settle(everybody, f"the take-off height of {height_m:g} m", SETTLE_S + height_m / CLIMB_M_S)
+        streamer.engage(all_rows)  # the last of them is in the air: setpoints cancel no take-off any more
+        await self._settle(all_rows, f"the take-off height of {height_m:g} m", SETTLE_S + height_m / CLIMB_M_S)
 
     async def _stream(self, rows: Sequence[int], plan: CheckedPlan) -> None:
         motion = Follow(rows, plan, self._time())
@@ -235,7 +235,7 @@ class Sortie:
     # --- when something is wrong ---------------------------------------------------------------------------------
 
     async def _disarm_the_low(self) -> None:
-        """Disarm who has not really lifted off yet; who will not disarm is landed with the others."""
+        """Disarm the vehicles that have not really lifted off; one that does not disarm is landed with the others."""
         low = [row for row in self._obeying() if (self._fleet.vehicles[row].height_m or 0.0) < ON_GROUND_M]
         self.streamer.release(low)
         try:
@@ -244,14 +244,14 @@ class Sortie:
             self._journal.event("warning", f"{error}; landing instead")
 
     async def _home_from_anywhere(self) -> None:
-        """Come to rest, fly home on lines checked from where everybody is told to be, land.
+        """Come to rest, fly home on lines checked from where every vehicle is told to be, land.
 
         Raises:
             PlanError: there are no such lines.
             VehicleError: a vehicle does not do as told.
         """
         if not isinstance(self.streamer.motion, Follow | FormationMotion):
-            raise VehicleError("everybody is above its own pad")
+            raise VehicleError("every vehicle is above its own pad")
         with self._journal.in_stage("home"):
             still = await self._at_rest(self.streamer.motion)
             rows = self._obeying()
@@ -281,7 +281,7 @@ class Sortie:
         return check(way.pieces, self._task.rules, gaze_enu_m)
 
     def _obeying(self) -> list[int]:
-        """Rows of the armed vehicles that are heard and that nobody else has taken."""
+        """Rows of the armed vehicles that are heard and not taken over."""
         return [
             row
             for row, vehicle in enumerate(self._fleet.vehicles)

@@ -19,7 +19,7 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
 
-REMEMBERED = 100  # rounds of setpoints: a second or two of them, which is longer than anybody asks back
+REMEMBERED = 100  # rounds of setpoints: a second or two of them, more than is ever asked for
 
 
 class Streamer:
@@ -96,7 +96,7 @@ class Streamer:
                 self._send(self.motion, now_s)
                 self._recorder.ticks.append((self._recorder.since_start_s(now_s), late_s))
                 self._due_s = start_s + (k + 1) * self.period_s
-                self._sent.set()  # wakes what waits now
+                self._sent.set()  # wakes whatever waits now
                 self._sent.clear()
                 if self.after_round is not None:
                     self.after_round(now_s)

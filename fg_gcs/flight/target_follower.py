@@ -24,7 +24,7 @@ from fg_gcs.track.follow.replanner import FollowMode, Goal, Replan, Swarm
 from fg_gcs.track.following_core import QUIET_S, FollowingCore
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
-LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before everybody goes home for it
+LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before the swarm goes home for it
 TRUTH_S = 1.0 / SETPOINTS_HZ  # between instants for which true positions are written down
 KEPT = frozenset({Verdict.TAKEN, Verdict.TENTATIVE})  # any other verdict is a refusal
 
@@ -39,7 +39,7 @@ class TrackingStatus(NamedTuple):
     growth: float  # size of the formation as a share of that at the start
     rests: bool  # the formation has come to the end of its trajectory: it stands until there is another one
     caught: bool  # the formation has been around the target
-    patience_s: float  # after so much more without a sighting, or without the capture, everybody goes home
+    patience_s: float  # after so much more without a sighting, or without the capture, the swarm goes home
     sightings: int  # all that came so far
     refused: dict[Verdict, int]
     latency_s: float  # from the last sighting's stamp to when the first setpoint that it led to had left; NaN: none yet
@@ -94,7 +94,7 @@ class TargetFollower:
         self._journal = journal
         self._stopwatch = stopwatch
         self._sources = SightingSources(mission.targets or [], self._sighted, self._refused, simulated_endpoint)
-        self._time = asyncio.get_running_loop().time
+        self._time = journal.time
         self._wake = asyncio.Event()
         self._core: FollowingCore | None = None
         self._formation_motion: FormationMotion | None = None
@@ -123,7 +123,7 @@ class TargetFollower:
         """
         await self._sources.open()
         for name, endpoint in self._sources.endpoints.items():
-            self._journal.event("open", f"listening for {name} at {endpoint}")
+            self._journal.event("open", f"listening for sightings of {name} at {endpoint}")
 
     def begin(self, origin: Geodetic) -> None:
         """Track from now on, from rest in the start pose; the origin is that of the mission's frame."""
@@ -151,7 +151,7 @@ class TargetFollower:
                 await self._replan(self._core, self._formation_motion)
 
     def stop(self) -> tuple[FormationMotion, float]:
-        """Track no longer, and come to rest; return the motion, and the loop's time at which everybody rests [s]."""
+        """Track no longer, and come to rest; return the motion, and the time at which the formation rests [s]."""
         assert self._core is not None, "only what has begun is stopped"
         motion, now_s = self._formation_motion, self._time()
         assert motion is not None, "likewise"
@@ -168,7 +168,7 @@ class TargetFollower:
             self._ended_s = self._time()
             self._write_truth(self._ended_s)
             refused = ", ".join(f"{count} {said(verdict)}" for verdict, count in self._refusals.items())
-            self._journal.event("track", f"{self._count} sightings, refused: {refused or 'none'}")
+            self._journal.event("track", f"{self._count} sightings came; refused: {refused or 'none'}")
         self._sources.close()
 
     @property
@@ -178,7 +178,7 @@ class TargetFollower:
 
     @property
     def gaze_enu_m(self) -> Array:
-        """The point that everybody looks at now, shape (3,) [m; ENU]."""
+        """The point that all noses are turned to now, shape (3,) [m; ENU]."""
         return (
             self._task.target_enu_m if self._formation_motion is None else self._formation_motion.gaze.at(self._time())
         )
@@ -227,11 +227,15 @@ class TargetFollower:
             return f"every target is lost: no sightings for {track.lost_after_s + LOST_SPARE_S:g} s"
         if self.caught_s is None and now_s - self._began_s > track.give_up_s:
             faster = self._is_outrun(now_s)
-            return "the target is faster than the vehicles" if faster else f"not caught within {track.give_up_s:g} s"
+            return (
+                "the target is faster than the vehicles"
+                if faster
+                else f"the target is not caught within {track.give_up_s:g} s"
+            )
         return None
 
     def _patience_s(self, now_s: float) -> float:
-        """Return how much longer nothing may be seen before everybody goes home [s]."""
+        """Return how much longer nothing may be seen before the swarm goes home [s]."""
         track = self._track
         seen = self._taken_s > self._began_s
         soon = track.on_lost == "home" and seen
@@ -266,7 +270,7 @@ class TargetFollower:
     def _refuse(self, verdict: Verdict, count: int) -> None:
         """Count, and tell the first of a kind: a flood of them must not become a flood of lines."""
         if not self._refusals[verdict]:
-            text = f"sighting refused ({said(verdict)}): {verdict.value}"
+            text = f"first sighting refused as {said(verdict)}: {verdict.value}"
             self._journal.event("refused", text, reason=verdict.name.lower())
         self._refusals[verdict] += count
 
@@ -278,7 +282,7 @@ class TargetFollower:
     async def _replan(self, core: FollowingCore, motion: FormationMotion) -> None:
         now_s, began_s, was_caught = self._time(), self._stopwatch(), core.caught_s is not None
         known = core.known(now_s)
-        if known is None:  # nobody has been seen yet
+        if known is None:  # no target has been seen yet
             return
         sighted_s, stamp_s = self._sighted_s, self._stamp_s
         self._sighted_s = self._stamp_s = np.nan  # what comes from now on is for the next trajectory
@@ -287,7 +291,9 @@ class TargetFollower:
             self._sighted_s, self._stamp_s = np.fmin(sighted_s, self._sighted_s), np.fmin(stamp_s, self._stamp_s)
             if self._planning.late and not self._told_late:
                 self._told_late = True
-                self._journal.event("notice", f"planning took longer than {LATE_S:g} s; the present trajectory goes on")
+                self._journal.event(
+                    "notice", f"planning takes longer than {LATE_S:g} s; the present trajectory goes on"
+                )
             return
         self._stream(motion.with_trajectory(replan.trajectory, Gaze(now_s, known.position_enu_m, known.velocity_m_s)))
         planned_s = self._time()
@@ -300,7 +306,7 @@ class TargetFollower:
         self._write(replan, known, (now_s, sighted_s, planned_s), core.error_m(now_s))
         self._tell(replan.mode, known)
         if not was_caught and core.caught_s is not None:
-            self._journal.event("track", f"caught after {now_s - self._began_s:.1f} s")
+            self._journal.event("track", f"the target is caught after {now_s - self._began_s:.1f} s")
 
     def _measure(self) -> None:
         """Find out when the first setpoint after the last trajectory left, once it has."""
@@ -335,7 +341,7 @@ class TargetFollower:
         return self._core.replanner.chases(Goal(known.prediction, 1.0))
 
     def _write_truth(self, until_s: float) -> None:
-        """Write down where the targets truly were, as far as anybody knows."""
+        """Write down where the targets truly were, as far as that is known."""
         time_s = np.arange(self._began_s, until_s, TRUTH_S)
         truth = self._sources.truth(time_s)
         if truth is None or not len(time_s):

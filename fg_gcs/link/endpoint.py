@@ -227,7 +227,7 @@ class TcpWire(Wire):
         """Connect, and stay connected from then on until `close`.
 
         Raises:
-            OSError: Nobody listens, or nobody answers.
+            OSError: The connection is refused, or there is no answer.
             UnicodeError: No host can have this name.
         """
         self._keeper = asyncio.create_task(self._keep(await self._connect()), name=f"keep {self.endpoint}")
@@ -309,7 +309,7 @@ async def open_wire(endpoint: Endpoint, on_data: OnData, on_change: OnChange | N
         on_change: Gets the wire and what became of its connection, before any bytes of a new one; must not raise.
 
     Raises:
-        LinkError: The port is taken, nobody listens, or no host has that name.
+        LinkError: The port is taken, the connection is refused, or no host has that name.
     """
     loop = asyncio.get_running_loop()
     address = (endpoint.host, endpoint.port)
@@ -328,4 +328,4 @@ async def open_wire(endpoint: Endpoint, on_data: OnData, on_change: OnChange | N
             raise LinkError(f"{endpoint}: port {endpoint.port} is in use: another ground station?") from error
         raise LinkError(f"{endpoint}: {error.strerror or error}") from error
     except UnicodeError as error:  # what the system's own encoding of host names refuses
-        raise LinkError(f"{endpoint}: no host has the name {endpoint.host!r}") from error
+        raise LinkError(f"{endpoint}: there is no host called {endpoint.host!r}") from error

@@ -48,7 +48,7 @@ class MemoryNetwork:
             self._loop.call_soon(protocol.connection_lost, None)
 
     def send(self, data: bytes, source: Address, target: Address) -> None:
-        """Deliver later; if nobody is there by then, the datagram is lost."""
+        """Deliver later; if there is no endpoint by then, the datagram is lost."""
         # The queue keeps the order: two timers of the same instant may fire in any.
         self._under_way.append((data, source, target))
         self._loop.call_later(self._latency_s, self._deliver)

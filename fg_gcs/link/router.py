@@ -79,7 +79,7 @@ class Router:
         notices: Lines for people, such as a lost connection, or two vehicles with one address (said once).
     """
 
-    def __init__(self, on_message: OnMessage | None = None, tap: Tap | None = None) -> None:
+    def __init__(self, time: Callable[[], float], on_message: OnMessage | None, tap: Tap | None) -> None:
         self.vehicles: dict[VehicleAddress, Vehicle] = {}
         self.notices: deque[str] = deque(maxlen=64)
         self._on_message = on_message
@@ -89,7 +89,7 @@ class Router:
         self._routes: dict[VehicleAddress, Peer] = {}
         self._clashing: set[VehicleAddress] = set()
         self._frames_out = self._unroutable = self._clashes = 0
-        self._time = asyncio.get_running_loop().time
+        self._time = time
 
     @classmethod
     async def open(
@@ -103,9 +103,9 @@ class Router:
             tap: Gets every frame in both directions, unknown ones included, with the loop time [s]: the recorder.
 
         Raises:
-            LinkError: A port is taken, or nobody listens; nothing stays open.
+            LinkError: A port is taken, or a connection is refused; nothing stays open.
         """
-        router = cls(on_message, tap)
+        router = cls(asyncio.get_running_loop().time, on_message, tap)
         try:
             for network, endpoints in networks.items():
                 for endpoint in endpoints:

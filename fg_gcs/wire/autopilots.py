@@ -20,7 +20,7 @@ _QUIET_HZ: Final = -1.0  # negative rate: switch the stream off
 class TakeOff(Enum):
     """How a vehicle leaves the ground."""
 
-    BY_SETPOINT = "setpoints in the streaming mode lift it off"
+    BY_SETPOINT = "setpoints in the streaming mode lift it off; they must come before that mode, or it is refused"
     BY_COMMAND = "NAV_TAKEOFF lifts it off; a setpoint before lift-off cancels that in silence"
 
 
@@ -78,11 +78,8 @@ class AutopilotProfile:
         autopilot: MAV_AUTOPILOT of its heartbeat.
         modes: Custom mode numbers by readable name.
         streaming_mode: Mode in which position targets are obeyed.
-        hold_mode: Mode that stays where it is (ArduPilot: BRAKE, since LOITER sinks when no RC is there).
         land_mode: Mode that lands here.
-        return_mode: Mode that flies home; a swarm must not use it, all climb to the same height.
         take_off: How it leaves the ground.
-        setpoints_before_mode: The streaming mode is refused unless a setpoint came just before.
         lands_by_command: NAV_LAND lands it; otherwise the mode does.
         encoding: How integer parameters travel.
         limits: Where its limits of flight are stored.
@@ -94,11 +91,8 @@ class AutopilotProfile:
     autopilot: int
     modes: Mapping[str, int]
     streaming_mode: int
-    hold_mode: int
     land_mode: int
-    return_mode: int
     take_off: TakeOff
-    setpoints_before_mode: bool
     lands_by_command: bool
     encoding: Encoding
     limits: tuple[LimitParameter, ...]
@@ -183,11 +177,8 @@ PX4: Final = AutopilotProfile(
     autopilot=dialect.MAV_AUTOPILOT_PX4,
     modes=MappingProxyType(_PX4_MODES),
     streaming_mode=_PX4_MODES["OFFBOARD"],
-    hold_mode=_PX4_MODES["LOITER"],
     land_mode=_PX4_MODES["LAND"],
-    return_mode=_PX4_MODES["RTL"],
     take_off=TakeOff.BY_SETPOINT,
-    setpoints_before_mode=True,
     lands_by_command=True,
     encoding=Encoding.BYTEWISE,
     limits=(
@@ -197,9 +188,11 @@ PX4: Final = AutopilotProfile(
         _limit("acceleration_m_s2", MPC_ACC_HOR_MAX=1.0),  # MPC_ACC_HOR binds its own automatic modes only
     ),
     failsafes=(
-        FailsafeParameter("COM_OBL_RC_ACT", 4.0, "setpoints stop: land; the default sinks and drifts without RC"),
-        FailsafeParameter("COM_OF_LOSS_T", None, "seconds without setpoints until that happens"),
-        FailsafeParameter("NAV_DLL_ACT", None, "what happens when our heartbeats stop"),
+        FailsafeParameter(
+            "COM_OBL_RC_ACT", 4.0, "lands when setpoints stop; by default it sinks and drifts without RC"
+        ),
+        FailsafeParameter("COM_OF_LOSS_T", None, "how long setpoints may be missing before that, in seconds"),
+        FailsafeParameter("NAV_DLL_ACT", None, "what it does when our heartbeats stop"),
     ),
     rates_hz=MappingProxyType(
         _RATES_HZ
@@ -217,11 +210,8 @@ ARDUPILOT: Final = AutopilotProfile(
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes=MappingProxyType(_ARDUPILOT_MODES),
     streaming_mode=_ARDUPILOT_MODES["GUIDED"],
-    hold_mode=_ARDUPILOT_MODES["BRAKE"],
     land_mode=_ARDUPILOT_MODES["LAND"],
-    return_mode=_ARDUPILOT_MODES["RTL"],
     take_off=TakeOff.BY_COMMAND,
-    setpoints_before_mode=False,
     lands_by_command=False,
     encoding=Encoding.CAST,
     limits=(  # newer firmware than the measured one renamed them and went from centimetres to metres
@@ -232,9 +222,9 @@ ARDUPILOT: Final = AutopilotProfile(
         _limit("jerk_m_s3", PSC_NE_JERK=1.0, PSC_JERK_NE=1.0, PSC_JERK_XY=1.0),
     ),
     failsafes=(
-        FailsafeParameter("FS_GCS_ENABLE", 5.0, "our heartbeats stop: land; the default does nothing"),
-        FailsafeParameter("FS_GCS_TIMEOUT", None, "seconds without heartbeats until that happens"),
-        FailsafeParameter("GUID_TIMEOUT", None, "seconds that a target runs on after setpoints stop"),
+        FailsafeParameter("FS_GCS_ENABLE", 5.0, "lands when our heartbeats stop; by default it does nothing"),
+        FailsafeParameter("FS_GCS_TIMEOUT", None, "how long heartbeats may be missing before that, in seconds"),
+        FailsafeParameter("GUID_TIMEOUT", None, "how long it flies on after setpoints stop, in seconds"),
     ),
     rates_hz=MappingProxyType(
         _RATES_HZ | {"HEARTBEAT": 5.0}  # arming shows in the next heartbeat only: up to 1 s late by default

@@ -35,9 +35,6 @@ class Message(Protocol):
     def get_srcComponent(self) -> int:
         """Component id of the sender."""
 
-    def get_seq(self) -> int:
-        """Sequence number of the frame."""
-
     def get_msgbuf(self) -> bytearray:
         """The whole frame as it was on the wire: what a tlog holds."""
 

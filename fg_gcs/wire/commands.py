@@ -15,7 +15,6 @@ from fg_gcs.wire.codec import Message
 from fg_gcs.wire.vehicle import Vehicle
 
 _AUTOPILOT: Final[int] = dialect.MAV_COMP_ID_AUTOPILOT1
-_FORCE: Final = 21196.0  # MAVLink's magic number: disarm in the air, too
 _WARNING: Final[int] = dialect.MAV_SEVERITY_WARNING  # texts up to this severity tell why something was refused
 _REFUSALS: Final = {
     dialect.MAV_RESULT_TEMPORARILY_REJECTED: "temporarily rejected",  # PX4's way
@@ -23,6 +22,12 @@ _REFUSALS: Final = {
     dialect.MAV_RESULT_UNSUPPORTED: "unsupported",
     dialect.MAV_RESULT_FAILED: "failed",  # ArduPilot's way
     6: "cancelled",  # MAV_RESULT_CANCELLED, which this dialect module does not name
+}
+_PARAMETER_REFUSALS: Final = {
+    dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST: "there is no parameter of this name",
+    dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE: "the value is out of range",
+    dialect.MAV_PARAM_ERROR_PERMISSION_DENIED: "it must not be changed now",
+    dialect.MAV_PARAM_ERROR_READ_ONLY: "it is read-only",
 }
 _REASON_GRACE_S: Final = 0.3  # the texts that say why come up to this much after the refusal (chunks, 20 Hz at most)
 _IN_AIR_SHARE: Final = 0.9  # of the height asked for: counts as taken off before the vehicle itself says so
@@ -38,14 +43,14 @@ class Request:
     """One thing to get a vehicle to do.
 
     Attributes:
-        name: For people.
+        name: What the vehicle is to do, in the words that follow "did not".
         build: Message to send, for the vehicle as it is now.
         satisfied: Telemetry shows that it is so; the second argument is when the first message left [s].
         refused: Reason why it will not be, None while it still may.
         new_mode: The mode that the vehicle will change to, None if it stays.
         resend_s: Send again after this long without success [s].
         deadline_s: Give up after this long [s].
-        optional: Nobody minds a refusal: the dialogue counts as done.
+        optional: A refusal does no harm: the dialogue counts as done.
     """
 
     name: str
@@ -84,7 +89,7 @@ class Dialogue:
         self._refused_s: float | None = None
 
     def step(self, now_s: float) -> Message | None:
-        """Look at the vehicle; return the message to send now, if any.
+        """Compare with the vehicle's telemetry; return the message to send now, if any.
 
         The first step always sends, even if the telemetry already shows success: it may be a second old.
 
@@ -104,7 +109,7 @@ class Dialogue:
         elif (refusal := self.request.refused(self.vehicle, self._began_s)) is not None:
             self._wait_for_reason(refusal, now_s)
         elif now_s - self._began_s >= self.request.deadline_s:
-            self._finish(State.TIMED_OUT, f"no success within {self.request.deadline_s:g} s")
+            self._finish(State.TIMED_OUT, f" within {self.request.deadline_s:g} s")
         elif now_s - self._sent_s >= self.request.resend_s:
             return self._send(now_s)
         return None
@@ -117,12 +122,12 @@ class Dialogue:
         if self._refused_s is None:
             self._refused_s = now_s
         if now_s - self._refused_s >= _REASON_GRACE_S:
-            self._finish(State.REFUSED, refusal)
+            self._finish(State.REFUSED, f": {refusal}")
 
-    def _finish(self, state: State, what: str) -> None:
+    def _finish(self, state: State, how: str) -> None:
         began_s = self._began_s if self._began_s is not None else -math.inf
         said = [text.text for text in self.vehicle.recent_texts if text.at_s >= began_s and text.severity <= _WARNING]
-        self.reason = f"vehicle {self.vehicle.address}: {self.request.name}: {what}"
+        self.reason = f"vehicle {self.vehicle.address} did not {self.request.name}{how}"
         if said:
             self.reason += f" ({'; '.join(dict.fromkeys(said))})"
         self.state = State.DONE if self.request.optional else state
@@ -146,11 +151,11 @@ def arm() -> Request:
     )
 
 
-def disarm(*, force: bool = False) -> Request:
-    """Disarm; with ``force`` also in the air, where it falls."""
+def disarm() -> Request:
+    """Disarm; refused in the air, and nothing here forces it: the vehicle would fall."""
     return Request(
         "disarm",
-        build=lambda vehicle: _command(vehicle, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE if force else 0.0),
+        build=lambda vehicle: _command(vehicle, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0),
         satisfied=lambda vehicle, since_s: not vehicle.armed,
         refused=_refusal_of(dialect.MAV_CMD_COMPONENT_ARM_DISARM),
     )
@@ -159,7 +164,7 @@ def disarm(*, force: bool = False) -> Request:
 def set_mode(mode: int) -> Request:
     """Change the custom mode; done when HEARTBEAT or CURRENT_MODE shows it, whatever the acknowledgements say."""
     return Request(
-        "set mode",
+        "change its mode",
         build=lambda vehicle: _mode_command(vehicle, mode),
         satisfied=lambda vehicle, since_s: vehicle.mode == mode,
         refused=_refusal_of(dialect.MAV_CMD_DO_SET_MODE),
@@ -181,7 +186,7 @@ def land() -> Request:
         return _refusal_of(command)(vehicle, since_s)
 
     return Request(
-        "land",
+        "begin to land",
         build=build,
         satisfied=lambda vehicle, since_s: vehicle.mode == vehicle.profile.land_mode or not vehicle.armed,
         refused=refused,
@@ -208,7 +213,9 @@ def take_off(height_m: float, climb_m_s: float = 1.0) -> Request:
 
     def build(vehicle: Vehicle) -> Message:
         if vehicle.profile.take_off is not TakeOff.BY_COMMAND:
-            raise VehicleError(f"vehicle {vehicle.address}: {vehicle.profile.name} takes off by setpoints")
+            raise VehicleError(
+                f"vehicle {vehicle.address} has no take-off command: {vehicle.profile.name} takes off by setpoints"
+            )
         return _command(vehicle, dialect.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
 
     def satisfied(vehicle: Vehicle, since_s: float) -> bool:
@@ -216,7 +223,7 @@ def take_off(height_m: float, climb_m_s: float = 1.0) -> Request:
         return climbed or vehicle.landed_state == dialect.MAV_LANDED_STATE_IN_AIR
 
     def refused(vehicle: Vehicle, since_s: float) -> str | None:
-        return refusal(vehicle, since_s) if vehicle.armed else "disarmed before lift-off"
+        return refusal(vehicle, since_s) if vehicle.armed else "it disarmed before lift-off"
 
     spool_up_s = 10.0  # motors need 1 to 3 s; the rest is for a slow machine
     deadline_s = spool_up_s + height_m / climb_m_s
@@ -226,7 +233,7 @@ def take_off(height_m: float, climb_m_s: float = 1.0) -> Request:
 def request_message(message_id: int, *, optional: bool = False) -> Request:
     """Ask for one message; done when it has come."""
     return Request(
-        f"request message {message_id}",
+        f"send message {message_id}",
         build=lambda vehicle: _command(vehicle, dialect.MAV_CMD_REQUEST_MESSAGE, float(message_id)),
         satisfied=lambda vehicle, since_s: vehicle.message_at_s.get(message_id, -math.inf) > since_s,
         refused=_refusal_of(dialect.MAV_CMD_REQUEST_MESSAGE),
@@ -246,12 +253,12 @@ def set_message_interval(message_id: int, rate_hz: float, *, optional: bool = Tr
     Args:
         message_id: MAVLink message id.
         rate_hz: Rate [Hz]; negative switches the stream off.
-        optional: Nobody minds a refusal.
+        optional: A refusal does no harm.
     """
     interval_us = round(1e6 / rate_hz) if rate_hz > 0.0 else -1
     command = dialect.MAV_CMD_SET_MESSAGE_INTERVAL
     return Request(
-        f"set interval of message {message_id}",
+        f"change the interval of message {message_id}",
         build=lambda vehicle: _command(vehicle, command, float(message_id), float(interval_us)),
         satisfied=lambda vehicle, since_s: _accepted(vehicle, command, since_s),
         refused=_refusal_of(command),
@@ -263,7 +270,7 @@ def set_message_interval(message_id: int, rate_hz: float, *, optional: bool = Tr
 def read_parameter(name: str, *, optional: bool = False) -> Request:
     """Read one parameter into `Vehicle.params`; an unknown name is refused by PX4 and met with silence by ArduPilot."""
     return Request(
-        f"read parameter {name}",
+        f"tell its parameter {name}",
         build=lambda vehicle: _read(vehicle, name),
         satisfied=lambda vehicle, since_s: vehicle.param_at_s.get(name, -math.inf) > since_s,
         refused=_parameter_refusal(name),
@@ -293,7 +300,12 @@ def write_parameter(name: str, value: float) -> Request:
         return vehicle.param_at_s.get(name, -math.inf) > since_s and params.same(vehicle.params[name], value)
 
     return Request(
-        f"set parameter {name} to {value:g}", build, satisfied, _parameter_refusal(name), resend_s=0.3, deadline_s=5.0
+        f"set its parameter {name} to {value:g}",
+        build,
+        satisfied,
+        _parameter_refusal(name),
+        resend_s=0.3,
+        deadline_s=5.0,
     )
 
 
@@ -333,6 +345,10 @@ def _refusal_of(command: int) -> Callable[[Vehicle, float], str | None]:
 def _parameter_refusal(name: str) -> Callable[[Vehicle, float], str | None]:
     def refused(vehicle: Vehicle, since_s: float) -> str | None:
         said = vehicle.param_errors.get(name)
-        return f"parameter error {said.error}" if said is not None and said.at_s > since_s else None
+        return (
+            _PARAMETER_REFUSALS.get(said.error, f"parameter error {said.error}")
+            if said is not None and said.at_s > since_s
+            else None
+        )
 
     return refused

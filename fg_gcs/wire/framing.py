@@ -15,7 +15,7 @@ from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Message
 _MAGIC: Final = b"\xfd"
 _NO_FLAGS: Final = 0
 # Length, incompatible and compatible flags, sequence, system, component, message id: what the checksum covers as well.
-_pack_header: Final = struct.Struct("<BBBBBB3s").pack  # bound once: an attribute less to look up for every setpoint
+_pack_header: Final = struct.Struct("<BBBBBB3s").pack  # bound once: one attribute lookup less for every setpoint
 _pack_checksum: Final = struct.Struct("<H").pack
 _checksum: Final = crc16.mcrf4xx
 

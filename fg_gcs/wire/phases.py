@@ -9,14 +9,14 @@ from typing import Final
 class Phase(Enum):
     """Where a vehicle is in its flight, as its telemetry tells."""
 
-    DISCOVERED = "heard, cannot arm yet"
-    READY = "can arm"
+    DISCOVERED = "heard, not ready to arm"
+    READY = "ready to arm"
     ARMED = "armed on the ground"
     FLYING = "in the air, flown by us"
     LANDING = "in the air, landing as we told it"
     LANDED = "disarmed after a flight"
-    TAKEN = "somebody or something else changed its mode: hands off"
-    LOST = "not heard from"
+    TAKEN = "taken over: something else changed its mode"
+    LOST = "lost: nothing is heard from it"
 
 
 class PhaseEvent(Enum):
@@ -29,7 +29,7 @@ class PhaseEvent(Enum):
     ARMED = "its motors are armed"
     DISARMED = "its motors are not armed"
     AIRBORNE = "its landed state says that it is off the ground"
-    LANDING_BEGAN = "it is in its land mode and nobody but us put it there"
+    LANDING_BEGAN = "it is in its land mode, and only we can have put it there"
     TAKEN_OVER = "it is in a mode that we did not command"
 
 
@@ -54,10 +54,8 @@ TRANSITIONS: Final[Mapping[tuple[Phase, PhaseEvent], Phase]] = MappingProxyType(
         (Phase.LANDING, PhaseEvent.SILENT): Phase.LOST,
         (Phase.LANDED, PhaseEvent.ARMED): Phase.ARMED,  # the next flight
         (Phase.LANDED, PhaseEvent.SILENT): Phase.LOST,
-        (
-            Phase.TAKEN,
-            PhaseEvent.DISARMED,
-        ): Phase.LANDED,  # sticky: a mode that comes back by itself is not given back to us
+        # Sticky: a mode that comes back by itself is not given back to us
+        (Phase.TAKEN, PhaseEvent.DISARMED): Phase.LANDED,
         (Phase.TAKEN, PhaseEvent.SILENT): Phase.LOST,
         (Phase.LOST, PhaseEvent.HEARD): Phase.DISCOVERED,  # the telemetry that follows tells the rest
     }

@@ -38,7 +38,9 @@ class UnsafeSetpoint(FgError):
 
     def __init__(self, system_id: int, setpoint: "Setpoint") -> None:
         self.system_id, self.setpoint = system_id, setpoint
-        super().__init__(f"vehicle {system_id}: setpoint not finite or beyond {LARGEST:g}, not sent: {setpoint}")
+        super().__init__(
+            f"setpoint for vehicle {system_id} is not finite or beyond {LARGEST:g} and is not sent: {setpoint}"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,12 +32,10 @@ class Ack(NamedTuple):
     Attributes:
         result: MAV_RESULT.
         at_s: When it came [s].
-        times: How many came for this command so far.
     """
 
     result: int
     at_s: float
-    times: int
 
 
 class ParamError(NamedTuple):
@@ -53,7 +51,7 @@ class ParamError(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """Where a local frame has its zero.
+    """Where a local frame has its zero, as the vehicle reports it.
 
     Attributes:
         lat_deg: Latitude [deg; WGS84].
@@ -102,7 +100,6 @@ class Vehicle:
         mode: Custom mode, None before the first heartbeat. The newest of HEARTBEAT and CURRENT_MODE.
         commanded_mode: The mode that we put it in; any other mode, once that one was seen, is a take-over.
         armed: Motors armed.
-        system_status: MAV_STATE of the heartbeat.
         prearm_ok: Pre-arm checks are good *for the current mode*: choose the streaming mode first.
         landed_state: MAV_LANDED_STATE, 0 while unknown.
         position_ned_m: [m; NED from the vehicle's own local origin], None before the first.
@@ -113,16 +110,13 @@ class Vehicle:
         ground_ned_m: The last position while disarmed; its z is this vehicle's ground, which is not z = 0.
         yaw_rad: Heading [rad; clockwise from north], None before the first ATTITUDE.
         origin: Origin of its local frame, None before the first GPS_GLOBAL_ORIGIN.
-        home: Home as the vehicle has it; PX4 lets its altitude wander by 1.5 m.
         battery: State of charge.
         params: Values of the parameters heard so far, by name.
         param_types: Their MAV_PARAM_TYPE.
         param_at_s: When they came [s].
         param_errors: Newest refusal by parameter name.
         acks: Newest acknowledgement by command, of those addressed to us.
-        intervals_us: Interval by message id as told by MESSAGE_INTERVAL [us].
         message_at_s: Loop time of the newest message by message id [s].
-        heartbeat_at_s: Loop time of the newest heartbeat [s].
         heard_at_s: Loop time of the newest message [s].
     """
 
@@ -136,7 +130,6 @@ class Vehicle:
         self.mode: int | None = None
         self.commanded_mode: int | None = None
         self.armed = False
-        self.system_status = 0
         self.prearm_ok = False
         self.landed_state = 0
         self.position_ned_m: Vector | None = None
@@ -147,16 +140,13 @@ class Vehicle:
         self.ground_ned_m: Vector | None = None
         self.yaw_rad: float | None = None
         self.origin: Origin | None = None
-        self.home: Origin | None = None
         self.battery = Battery(math.nan, math.nan)
         self.params: dict[str, float] = {}
         self.param_types: dict[str, int] = {}
         self.param_at_s: dict[str, float] = {}
         self.param_errors: dict[str, ParamError] = {}
         self.acks: dict[int, Ack] = {}
-        self.intervals_us: dict[int, int] = {}
         self.message_at_s: dict[int, float] = {}
-        self.heartbeat_at_s = now_s
         self.heard_at_s = now_s
         self._assembler = TextAssembler()
         self._accepted_modes: frozenset[int | None] | None = None  # None: nothing commanded, nothing to take over
@@ -221,7 +211,7 @@ class Vehicle:
         yield PhaseEvent.ARMED if self.armed else PhaseEvent.DISARMED
         if self.airborne:
             yield PhaseEvent.AIRBORNE
-        # On the ground again after our landing it leaves its land mode by itself as it disarms: nobody took it
+        # On the ground again after our landing it leaves its land mode by itself as it disarms: that is no take-over
         down = self.phase is Phase.LANDING and not self.airborne
         if self._accepted_modes is not None and self.mode not in self._accepted_modes and not down:
             yield PhaseEvent.TAKEN_OVER
@@ -245,9 +235,7 @@ class Vehicle:
         self.mode = mode
 
     def _on_heartbeat(self, message: Message, now_s: float) -> None:
-        self.heartbeat_at_s = now_s
         self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-        self.system_status = message.system_status
         self._set_mode(message.custom_mode)
         self._apply(PhaseEvent.HEARD, now_s)
         self._judge(now_s)
@@ -286,15 +274,11 @@ class Vehicle:
             self.yaw_rad = message.yaw
 
     def _on_origin(self, message: Message, now_s: float) -> None:
-        self.origin = _origin_of(message)
-
-    def _on_home(self, message: Message, now_s: float) -> None:
-        self.home = _origin_of(message)
+        self.origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
 
     def _on_ack(self, message: Message, now_s: float) -> None:
         if message.target_system in (0, GCS_SYSTEM) and message.target_component in (0, GCS_COMPONENT):
-            earlier = self.acks.get(message.command)
-            self.acks[message.command] = Ack(message.result, now_s, earlier.times + 1 if earlier else 1)
+            self.acks[message.command] = Ack(message.result, now_s)
 
     def _on_text(self, message: Message, now_s: float) -> None:
         self._tell(self._assembler.add(message, now_s))
@@ -311,9 +295,6 @@ class Vehicle:
         if len(self.param_errors) < MOST_PARAMETERS:
             self.param_errors[message.param_id] = ParamError(message.error, now_s)
 
-    def _on_interval(self, message: Message, now_s: float) -> None:
-        self.intervals_us[message.message_id] = message.interval_us
-
     _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Message, float], None]]] = MappingProxyType(
         {
             dialect.MAVLINK_MSG_ID_HEARTBEAT: _on_heartbeat,
@@ -323,15 +304,9 @@ class Vehicle:
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _on_position,
             dialect.MAVLINK_MSG_ID_ATTITUDE: _on_attitude,
             dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _on_origin,
-            dialect.MAVLINK_MSG_ID_HOME_POSITION: _on_home,
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: _on_ack,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: _on_text,
             dialect.MAVLINK_MSG_ID_PARAM_VALUE: _on_param,
             dialect.MAVLINK_MSG_ID_PARAM_ERROR: _on_param_error,
-            dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL: _on_interval,
         }
     )
-
-
-def _origin_of(message: Message) -> Origin:
-    return Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)

@@ -146,7 +146,7 @@ def test_a_source_that_says_nothing_is_told_with_the_time_that_is_left(tmp_path:
     mission, flight, pictures = watched(tmp_path, SILENT)
     assert flight.result is not None
     assert flight.result.reason == "no sightings for 6 s"
-    assert "listening for lead at udpin:127.0.0.1:15000" in flight.events
+    assert "listening for sightings of lead at udpin:127.0.0.1:15000" in flight.events
     lines = [lines[1] for stage, lines in pictures[80, 24] if stage == "approach"]
     left = [int(found[1]) for line in lines if (found := re.search(r"not seen yet, home in (\d+) s", line))]
     assert left[0] == 6

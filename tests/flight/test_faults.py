@@ -79,7 +79,7 @@ def test_one_vehicle_taken_over_is_left_alone_and_the_others_come_home(autopilot
         await flight.reaches("approach")
         await asyncio.sleep(0.5)
         assert flight.director.fleet is not None
-        other.command_mode(2, flight.director.fleet.vehicles[1].profile.hold_mode)
+        other.command_mode(2, flight.director.fleet.vehicles[1].profile.modes["RTL"])
         await flight.reaches("land")
         rows = flight.recorder.setpoints.columns()
         late = rows["time_s"] > flight.director.journal.stages["approach"][1]
@@ -87,7 +87,7 @@ def test_one_vehicle_taken_over_is_left_alone_and_the_others_come_home(autopilot
 
     flight = fly(tmp_path, autopilot, take)
     assert flight.result is not None
-    assert "vehicle 2 taken over" in flight.result.reason
+    assert "vehicle 2 is taken over" in flight.result.reason
     assert frames[0] == 0
     assert flight.simulator.armed.tolist() == [False, True, False, False]
 

@@ -108,7 +108,7 @@ def test_the_free_formulation_flies_too_within_the_vehicles_own_jerk(
     assert result.plan is not None
     assert result.task.rules.limits.jerk_m_s3 == jerk_m_s3
     assert result.plan.peaks.jerk_m_s3 <= jerk_m_s3
-    assert ("jerk_m_s3 lowered to 5: PSC_JERK_XY of vehicle 1" in flight.events) == (autopilot == "ardupilot")
+    assert ("jerk_m_s3 lowered to 5 by PSC_JERK_XY of vehicle 1" in flight.events) == (autopilot == "ardupilot")
 
 
 def test_same_seed_and_mission_give_the_same_tables_byte_for_byte(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_two_networks_fly_one_mission(text: str, tmp_path: Path) -> None:
     assert result.completed, result.reason
     assert result.vehicles == tuple(VehicleAddress(name, n) for name in ("east", "west") for n in (1, 2))
     assert result.vehicles_landed == 4
-    assert "vehicles east/1-2, west/1-2 (PX4)" in events
+    assert "vehicles east/1-2, west/1-2 answered (PX4)" in events
     assert "listening at east: udpin:127.0.0.1:14550; west: udpin:127.0.0.1:14551" in events
     assert result.counters is not None
     assert (result.counters.clashes, result.counters.unroutable) == (0, 0)

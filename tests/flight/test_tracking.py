@@ -155,7 +155,7 @@ def test_a_target_that_cannot_be_held_is_given_up_too(tmp_path: Path) -> None:
         tmp_path, "px4", mission=mission_of(tmp_path, CIRCLING + "[track]\ngive_up_s = 4.0\ncapture_m = 1e-9\n")
     )
     assert flight.result is not None
-    assert flight.result.reason == "not caught within 4 s"
+    assert flight.result.reason == "the target is not caught within 4 s"
     assert down_and_disarmed(flight)
 
 
@@ -290,11 +290,11 @@ def test_a_vehicle_taken_over_while_tracking_is_left_alone(autopilot: str, tmp_p
         await flight.reaches("approach")
         await asyncio.sleep(2.0)
         assert flight.director.fleet is not None
-        other.command_mode(2, flight.director.fleet.vehicles[1].profile.hold_mode)
+        other.command_mode(2, flight.director.fleet.vehicles[1].profile.modes["RTL"])
 
     flight = fly(tmp_path, autopilot, take, mission_of(tmp_path, CIRCLING))
     assert flight.result is not None
-    assert "vehicle 2 taken over" in flight.result.reason
+    assert "vehicle 2 is taken over" in flight.result.reason
     assert flight.simulator.armed.tolist() == [False, True, False, False]
 
 

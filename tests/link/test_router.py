@@ -134,7 +134,7 @@ def test_only_autopilots_become_vehicles() -> None:
     virtually(main)
 
 
-def test_manners_phase_and_messages_reach_who_asked() -> None:
+def test_profile_phase_and_messages_are_handed_on() -> None:
     async def main() -> None:
         seen: list[tuple[int, str, float]] = []
         taps: list[tuple[Direction, bytes, float]] = []
@@ -210,12 +210,12 @@ def test_two_vehicles_with_one_system_id_do_not_mix() -> None:
     async def main() -> None:
         router = await Router.open({MAIN: [GROUND]})
         first, second = await Fake.start(1, PX4), await Fake.start(1, PX4)
-        first.beat(PX4.hold_mode)
+        first.beat(PX4.modes["LOITER"])
         await settle()
         for _ in range(3):
             second.beat(PX4.land_mode)
         await settle()
-        assert router.vehicles[at(1)].mode == PX4.hold_mode
+        assert router.vehicles[at(1)].mode == PX4.modes["LOITER"]
         router.send_message(at(1), commands.heartbeat())
         await settle()
         assert (len(first.heard), len(second.heard)) == (1, 0)
@@ -263,7 +263,7 @@ def test_hostile_datagrams_neither_raise_nor_disturb() -> None:
         draw = random.Random(7)
         router = await Router.open({MAIN: [GROUND]})
         honest, hostile = await Fake.start(1), await Fake.start(2)
-        honest.beat(PX4.hold_mode)
+        honest.beat(PX4.modes["LOITER"])
         frame = bytearray(honest.sender.pack(commands.heartbeat()))
         for _ in range(300):
             hostile.transport.sendto(draw.randbytes(draw.randrange(300)))
@@ -305,7 +305,7 @@ def test_the_same_system_id_in_two_networks_is_two_vehicles() -> None:
         endpoints = {"west": [GROUND], "east": [Endpoint(Kind.UDP_IN, "127.0.0.1", PORT + 1)]}
         router = await Router.open(endpoints, on_message=lambda vehicle, _message, _now_s: seen.append(vehicle.address))
         west, east = await Fake.start(7, PX4), await Fake.start(7, ARDUPILOT)
-        west.beat(PX4.hold_mode)
+        west.beat(PX4.modes["LOITER"])
         await settle()
         loop = asyncio.get_running_loop()
         east.transport, _ = await loop.create_datagram_endpoint(lambda: east, remote_addr=("127.0.0.1", PORT + 1))
@@ -313,7 +313,7 @@ def test_the_same_system_id_in_two_networks_is_two_vehicles() -> None:
             east.beat(ARDUPILOT.land_mode)
         await settle()
         assert seen == [at(7, "west"), at(7, "east"), at(7, "east")]
-        assert router.vehicles[at(7, "west")].mode == PX4.hold_mode
+        assert router.vehicles[at(7, "west")].mode == PX4.modes["LOITER"]
         assert router.vehicles[at(7, "east")].mode == ARDUPILOT.land_mode
         assert router.counters.clashes == 0
         for _ in range(3):

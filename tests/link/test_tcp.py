@@ -285,5 +285,5 @@ def test_a_host_that_never_answers_is_one_clear_line() -> None:
 @pytest.mark.parametrize("kind", ["tcp", "udpin", "udpout"])
 @pytest.mark.parametrize("host", ["a..b", "x" * 70])
 def test_a_name_that_no_host_can_have_is_one_clear_line(kind: str, host: str) -> None:
-    with pytest.raises(LinkError, match=f"^{kind}:{host}:5760: no host has the name '{host}'$"):
+    with pytest.raises(LinkError, match=f"^{kind}:{host}:5760: there is no host called '{host}'$"):
         asyncio.run(open_wire(parse_endpoint(f"{kind}:{host}:5760"), nothing_heard))

@@ -8,7 +8,7 @@ BOTH = pytest.mark.parametrize("profile", [PX4, ARDUPILOT], ids=lambda profile: 
 
 @BOTH
 def test_the_modes_we_use_have_names(profile: AutopilotProfile) -> None:
-    used = [profile.streaming_mode, profile.hold_mode, profile.land_mode, profile.return_mode]
+    used = [profile.streaming_mode, profile.land_mode]
     assert len(set(used)) == len(used)
     assert set(used) <= set(profile.modes.values())
     for name, number in profile.modes.items():
@@ -21,7 +21,7 @@ def test_mode_numbers_as_seen_on_the_wire() -> None:
     assert (ARDUPILOT.modes["GUIDED"], ARDUPILOT.modes["LAND"], ARDUPILOT.modes["BRAKE"]) == (4, 9, 17)
 
 
-def test_manners_are_chosen_by_the_heartbeat() -> None:
+def test_profiles_are_chosen_by_the_heartbeat() -> None:
     def heartbeat(kind: int, autopilot: int) -> dialect.MAVLink_heartbeat_message:
         return dialect.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 3, 3)
 
@@ -72,7 +72,6 @@ def test_old_and_new_names_of_ardupilot_mean_the_same_limit() -> None:
 
 def test_only_ardupilot_takes_off_by_command() -> None:
     assert (PX4.take_off, ARDUPILOT.take_off) == (TakeOff.BY_SETPOINT, TakeOff.BY_COMMAND)
-    assert (PX4.setpoints_before_mode, ARDUPILOT.setpoints_before_mode) == (True, False)
 
 
 @BOTH

@@ -78,7 +78,7 @@ def test_a_refusal_brings_its_reason_along(result: int) -> None:
 
     dialogue, _, ended_s = run(ardupilot(), commands.arm(), answer)
     assert dialogue.state is State.REFUSED
-    assert dialogue.reason.startswith("vehicle 4: arm: ")
+    assert dialogue.reason.startswith("vehicle 4 did not arm: ")
     assert dialogue.reason.endswith("(Arm: Need Position Estimate)")
     assert ended_s < 0.5
 
@@ -104,15 +104,15 @@ def test_px4_accepts_blindly_before_it_tells_the_truth() -> None:
 
 def test_a_refusal_that_telemetry_contradicts_is_no_refusal() -> None:
     def answer(message: Message, now_s: float) -> list[tuple[float, Message]]:
-        return [(0.01, ack(176, 1)), (0.2, beat(PX4, PX4.hold_mode))]
+        return [(0.01, ack(176, 1)), (0.2, beat(PX4, PX4.modes["LOITER"]))]
 
-    assert run(px4(), commands.set_mode(PX4.hold_mode), answer)[0].state is State.DONE
+    assert run(px4(), commands.set_mode(PX4.modes["LOITER"]), answer)[0].state is State.DONE
 
 
 def test_modes_are_spelt_as_each_autopilot_wants() -> None:
     _, sent, _ = run(ardupilot(), commands.set_mode(ARDUPILOT.streaming_mode), silent)
     assert [(m.param1, m.param2, m.param3) for m in sent[:1]] == [(1.0, 4.0, 0.0)]
-    _, sent, _ = run(px4(), commands.set_mode(PX4.hold_mode), silent)
+    _, sent, _ = run(px4(), commands.set_mode(PX4.modes["LOITER"]), silent)
     assert [(m.param1, m.param2, m.param3) for m in sent[:1]] == [(1.0, 4.0, 3.0)]
 
 
@@ -129,7 +129,7 @@ def test_an_old_acknowledgement_says_nothing_about_a_new_request() -> None:
 def test_silence_is_asked_again_until_the_deadline() -> None:
     dialogue, sent, ended_s = run(px4(), commands.arm(), silent)
     assert dialogue.state is State.TIMED_OUT
-    assert dialogue.reason == "vehicle 3: arm: no success within 5 s"
+    assert dialogue.reason == "vehicle 3 did not arm within 5 s"
     assert len(sent) == 5
     assert ended_s == pytest.approx(5.0, abs=2 * STEP_S)
 
@@ -259,7 +259,7 @@ def test_reading_a_parameter() -> None:
 
 def test_an_unknown_parameter_is_refused_by_px4_and_met_with_silence_by_ardupilot() -> None:
     dialogue, _, _ = run(px4(), commands.read_parameter("NONE"), Store(PX4, "X", 1.0, 9))
-    assert (dialogue.state, "parameter error 1" in dialogue.reason) == (State.REFUSED, True)
+    assert (dialogue.state, "there is no parameter of this name" in dialogue.reason) == (State.REFUSED, True)
     dialogue, _, ended_s = run(ardupilot(), commands.read_parameter("NONE"), Store(ARDUPILOT, "X", 1.0, 9))
     assert dialogue.state is State.TIMED_OUT
     assert ended_s == pytest.approx(3.0, abs=2 * STEP_S)
@@ -275,15 +275,85 @@ def test_a_written_value_that_comes_back_different_is_not_done() -> None:
     assert dialogue.state is State.TIMED_OUT
 
 
-def test_forced_disarming_carries_the_magic_number() -> None:
-    for force, magic in ((False, 0.0), (True, 21196.0)):
-        vehicle = px4()
-        vehicle.armed = True
-        _, sent, _ = run(vehicle, commands.disarm(force=force), silent)
-        assert (sent[0].command, sent[0].param1, sent[0].param2) == (400, 0.0, magic)
+def test_disarming_is_never_forced() -> None:
+    vehicle = px4()
+    vehicle.armed = True
+    _, sent, _ = run(vehicle, commands.disarm(), silent)
+    assert (sent[0].command, sent[0].param1, sent[0].param2) == (400, 0.0, 0.0)  # 21196 would stop motors in the air
 
 
 def test_our_heartbeat_is_that_of_a_ground_station() -> None:
     (message,) = Codec().receive(Sender().pack(commands.heartbeat()))
     assert (message.type, message.autopilot) == (dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID)
     assert (message.get_srcSystem(), message.get_srcComponent()) == (255, 190)
+
+
+@pytest.mark.parametrize(
+    ("request_", "said"),
+    [
+        (commands.arm(), "vehicle 4 did not arm within 5 s"),
+        (commands.disarm(), "vehicle 4 did not disarm within 5 s"),
+        (commands.set_mode(4), "vehicle 4 did not change its mode within 5 s"),
+        (commands.land(), "vehicle 4 did not begin to land within 5 s"),
+        (commands.take_off(4.0), "vehicle 4 did not take off: it disarmed before lift-off"),
+        (commands.request_origin(), "vehicle 4 did not send message 49 within 5 s"),
+        (
+            commands.set_message_interval(32, 50.0, optional=False),
+            "vehicle 4 did not change the interval of message 32 within 5 s",
+        ),
+        (commands.read_parameter("FS_GCS_ENABLE"), "vehicle 4 did not tell its parameter FS_GCS_ENABLE within 3 s"),
+        (
+            commands.write_parameter("FS_GCS_ENABLE", 5.0),
+            "vehicle 4 did not set its parameter FS_GCS_ENABLE to 5 within 5 s",
+        ),
+    ],
+    ids=lambda value: value.name if isinstance(value, Request) else "",
+)
+def test_what_a_vehicle_did_not_do_is_a_sentence(request_: Request, said: str) -> None:
+    vehicle = ardupilot()
+    vehicle.armed = request_.name not in ("arm", "take off")
+    assert run(vehicle, request_, silent)[0].reason == said
+
+
+def test_a_vehicle_of_a_named_network_is_told_with_it() -> None:
+    vehicle = Vehicle(VehicleAddress("west", 4), PX4, 0.0)
+    assert run(vehicle, commands.arm(), silent)[0].reason == "vehicle west/4 did not arm within 5 s"
+
+
+def test_the_take_off_command_says_nothing_but_the_height() -> None:
+    vehicle = ardupilot()
+    vehicle.armed = True
+    _, sent, _ = run(vehicle, commands.take_off(4.0), silent)
+    (command,) = sent
+    assert [getattr(command, f"param{number}") for number in range(1, 8)] == [0.0] * 6 + [4.0]
+
+
+def test_an_answer_of_the_very_instant_of_the_question_is_to_an_earlier_one() -> None:
+    """An answer takes a while at least: what is there already when the question leaves cannot be it."""
+    vehicle, now_s = ardupilot(), 10.0
+    dialogues = [
+        Dialogue(vehicle, request)
+        for request in (
+            commands.arm(),
+            commands.request_origin(),
+            commands.read_parameter("FS_GCS_ENABLE"),
+            commands.set_message_interval(32, 50.0),
+        )
+    ]
+    for dialogue in dialogues:
+        assert dialogue.step(now_s) is not None
+    said = (
+        ack(400, 4),
+        ack(511, 0),
+        dialect.MAVLink_gps_global_origin_message(0, 0, 0),
+        dialect.MAVLink_param_value_message(b"FS_GCS_ENABLE", 5.0, 9, 1, 0),
+        dialect.MAVLink_param_error_message(255, 190, b"FS_GCS_ENABLE", -1, 1),
+    )
+    sender, codec = Sender(vehicle.system_id, 1), Codec()
+    for message in said:
+        for heard in codec.receive(sender.pack(message)):
+            vehicle.handle(heard, now_s)
+    for wait_s in (0.02, 0.45):
+        for dialogue in dialogues:
+            assert dialogue.step(now_s + wait_s) is None
+    assert [dialogue.state for dialogue in dialogues] == [State.PENDING] * 4

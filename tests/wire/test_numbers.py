@@ -6,9 +6,11 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire import commands
+from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
-from fg_gcs.wire.codec import Codec, Sender
+from fg_gcs.wire.codec import Codec
 from fg_gcs.wire.commands import Dialogue, State
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.vehicle import Vehicle
 
 PX4_MODES = {  # main and sub mode, px4_custom_mode.h
@@ -40,7 +42,7 @@ def test_limits_are_metres_but_for_the_old_names_of_ardupilot(profile: Autopilot
 
 
 def test_take_off_says_its_height_and_leaves_all_else_to_the_vehicle() -> None:
-    vehicle = Vehicle(4, ARDUPILOT, 0.0)
+    vehicle = Vehicle(VehicleAddress(MAIN, 4), ARDUPILOT, 0.0)
     sent = Dialogue(vehicle, commands.take_off(7.5)).step(0.0)
     assert sent is not None
     parameters = [getattr(sent, f"param{number}") for number in range(1, 8)]
@@ -48,13 +50,15 @@ def test_take_off_says_its_height_and_leaves_all_else_to_the_vehicle() -> None:
 
 
 def test_a_parameter_is_asked_for_by_its_name_alone() -> None:
-    sent = Dialogue(Vehicle(4, ARDUPILOT, 0.0), commands.read_parameter("FS_GCS_ENABLE")).step(0.0)
+    sent = Dialogue(Vehicle(VehicleAddress(MAIN, 4), ARDUPILOT, 0.0), commands.read_parameter("FS_GCS_ENABLE")).step(
+        0.0
+    )
     assert sent is not None
     assert (sent.param_id, sent.param_index) == ("FS_GCS_ENABLE", -1)  # any other index would count instead
 
 
 def test_what_a_vehicle_said_before_is_no_reason_of_what_fails_now() -> None:
-    vehicle, theirs, codec = Vehicle(4, ARDUPILOT, 0.0), Sender(4, 1), Codec()
+    vehicle, theirs, codec = Vehicle(VehicleAddress(MAIN, 4), ARDUPILOT, 0.0), Sender(4, 1), Codec()
 
     def says(text: bytes, now_s: float) -> None:
         for heard in codec.receive(theirs.pack(dialect.MAVLink_statustext_message(2, text, 0, 0))):

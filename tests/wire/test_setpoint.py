@@ -73,7 +73,7 @@ def test_no_unsafe_number_leaves(bad: float, place: int) -> None:
     a, b, c, d, e, f, g, h, i, yaw = numbers
     setpoint = Setpoint((a, b, c), (d, e, f), (g, h, i), yaw)
     sender = Sender()
-    with pytest.raises(UnsafeSetpoint, match="vehicle 4") as caught:
+    with pytest.raises(UnsafeSetpoint, match="setpoint for vehicle 4 is not finite or beyond 1e") as caught:
         pack_setpoint(setpoint, 4, sender)
     assert (caught.value.system_id, caught.value.setpoint) == (4, setpoint)
     assert isinstance(caught.value, FgError)
