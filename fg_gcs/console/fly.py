@@ -27,8 +27,8 @@ from fg_gcs.flight.target_follower import warm_up
 from fg_gcs.link.clock import make_loop
 from fg_gcs.link.endpoint import parse_endpoint
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.record.evaluate.evaluation import evaluate, evaluate_tracking
-from fg_gcs.record.evaluate.tracking import KEYS, Followed
+from fg_gcs.record.evaluate.evaluation import flown_figures
+from fg_gcs.record.read.run import RunError
 from fg_gcs.record.report.report import write_report
 from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder, plain
 from fg_gcs.run.simulators import (
@@ -83,26 +83,28 @@ def fly(path: Path, options: Options) -> int:
     gc.collect()
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     with asyncio.Runner(loop_factory=lambda: make_loop(options.speed)) as runner:
-        result = runner.run(_fly(path, text, mission, options, folder))
-    summary = json.loads((folder / "summary.json").read_text())
+        result, summary = runner.run(_fly(path, text, mission, options, folder))
     if options.json:
         print(json.dumps(summary))
     return 0 if result.completed else 1
 
 
-async def _fly(path: Path, text: str, mission: Mission, options: Options, folder: Path) -> FlightResult:
+async def _fly(
+    path: Path, text: str, mission: Mission, options: Options, folder: Path
+) -> tuple[FlightResult, dict[str, object]]:
     loop = asyncio.get_running_loop()
     virtual = math.isinf(options.speed)
     simulated = not options.endpoints
     autopilot = options.autopilot or mission.simulator.autopilot
     with ExitStack() as stack:
         epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
-        recorder = stack.enter_context(Recorder(folder, text, loop.time(), epoch_s))
+        recorder = stack.enter_context(_recorder(folder, text, mission, loop.time(), epoch_s, in_thread=not virtual))
+        recorder.know(mission=str(path))
         console = Console(stderr=True, highlight=False)
         if not virtual:
             console = Console(file=stack.enter_context(unhurried(sys.stderr)), highlight=False)
         progress = stack.enter_context(Progress(mission, console, live=not virtual and console.is_terminal))
-        recorder.listener = progress.event
+        recorder.listeners.append(progress.event)
         endpoints = options.endpoints
         if simulated:
             port = VIRTUAL_PORT if virtual else free_port()
@@ -134,11 +136,22 @@ async def _fly(path: Path, text: str, mission: Mission, options: Options, folder
             finally:
                 show.cancel()
                 await asyncio.gather(show, return_exceptions=True)
-        summary = _summary(path, mission, result, recorder)
-        recorder.finish(summary)
-        write_report(folder)
+        summary = recorder.finish(_summary(path, mission, result, recorder))
+        try:
+            write_report(folder)
+        except (OSError, RunError) as error:  # the disk is full, or the folder is gone
+            recorder.event(loop.time(), "warning", f"the report cannot be written: {error}")
     closing(Console(stderr=True, highlight=False), summary, mission)
-    return result
+    return result, summary
+
+
+def _recorder(
+    folder: Path, text: str, mission: Mission, start_s: float, epoch_s: float, *, in_thread: bool
+) -> Recorder:
+    try:
+        return Recorder(folder, text, start_s, epoch_s, mission.files(), in_thread=in_thread)
+    except OSError as error:
+        raise MissionError(f"--logs {folder.parent}: {error.strerror or error}") from error
 
 
 def _on_signals(director: Director) -> None:
@@ -158,8 +171,10 @@ def _summary(path: Path, mission: Mission, result: FlightResult, recorder: Recor
     counters = result.counters
     summary |= {"completed": result.completed, "reason": result.reason, "vehicles_landed": result.vehicles_landed}
     target_enu_m = mission.first_target().centre_enu_m.tolist()
-    summary |= evaluate(recorder, result.stages, leaders, target_enu_m)
-    summary |= _tracking_keys(mission, result, recorder, leaders)
+    recorder.know(target_enu_m=target_enu_m, stages=result.stages)
+    recorder.settle()
+    summary |= flown_figures(recorder.folder)
+    summary |= _tracking_keys(result)
     summary |= {
         "late_ticks": result.late_ticks,
         "lost_vehicles": list(result.lost),
@@ -180,25 +195,13 @@ def _summary(path: Path, mission: Mission, result: FlightResult, recorder: Recor
     return plained
 
 
-def _tracking_keys(mission: Mission, result: FlightResult, recorder: Recorder, leaders: list[int]) -> dict[str, object]:
-    """The figures of the tracking; those of a target at rest are 0 or none."""
-    keys: dict[str, object] = {"replans": 0, "replans_late": 0, "replan_median_ms": None, "replan_p99_ms": None}
-    keys |= dict.fromkeys(KEYS) | {"found_again_s": [], "sightings": 0, "sightings_rejected": {}}
-    tracking, task = result.tracking, result.task
-    if tracking is None or task is None:
+def _tracking_keys(result: FlightResult) -> dict[str, object]:
+    """What the tables do not say of the tracking; of a target at rest it is 0 or none."""
+    keys: dict[str, object] = {"replans_late": 0, "replan_median_ms": None, "replan_p99_ms": None}
+    keys |= {"sightings": 0, "sightings_rejected": {}}
+    tracking = result.tracking
+    if tracking is None:
         return keys
-    caught_s = None if tracking.caught_s is None else recorder.since_start_s(tracking.caught_s)
-    followed = Followed(
-        recorder.since_start_s(tracking.began_s),
-        recorder.since_start_s(tracking.ended_s),
-        caught_s,
-        tuple(target.weight for target in mission.targets or ()),
-        task.formation.leaders_m,
-        task.hold_depth_m,
-        mission.track.capture_m,
-        mission.track.lost_after_s,
-    )
-    keys |= evaluate_tracking(recorder, result.stages, leaders, followed, task.rules.limits.acceleration_m_s2)
     if tracking.planning_s:
         took_ms = [1e3 * took for took in tracking.planning_s]
         keys |= {"replan_median_ms": np.median(took_ms), "replan_p99_ms": np.percentile(took_ms, 99)}

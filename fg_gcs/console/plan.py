@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fg_gcs.errors import FgError, MissionError, PlanError
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
+from fg_gcs.plan.flight_plan import FlightPlan, compile_flight, plan_figures
 from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.record.write.recorder import plain
 
@@ -63,15 +63,18 @@ def report(folder: Path) -> int:
     """Write a recorded run's report again.
 
     Raises:
-        MissionError: the folder does not hold a recorded run.
+        RunError: the folder does not hold a recorded run.
+        MissionError: the report cannot be written.
     """
     from fg_gcs.record.report.report import write_report
 
     try:
-        path = write_report(folder)
-    except (OSError, ValueError, KeyError) as error:
-        raise MissionError(f"{folder}: not the folder of a recorded run: {error}") from error
-    print(f"report: {path}", file=sys.stderr)
+        written = write_report(folder)
+    except OSError as error:
+        raise MissionError(f"{folder}: the report cannot be written: {error.strerror or error}") from error
+    for remark in written.remarks:
+        print(f"fg-gcs: {folder}: {remark}", file=sys.stderr)
+    print(f"report: {written.path}", file=sys.stderr)
     return 0
 
 
@@ -86,21 +89,7 @@ def load_planner(formulations: Collection[FormulationName]) -> None:
 
 def plan_keys(name: str, system_ids: Sequence[int], made: FlightPlan) -> dict[str, object]:
     """Return a plan's figures by the names of the command line's JSON; peaks and separation are the whole flight's."""
-    first, second = made.separation.pair
-    return {
-        "mission": name,
-        "planner": "flux_guided",
-        "vehicles": len(made.slot_of),
-        "leaders": len(made.rim_of),
-        **made.figures._asdict(),
-        "plan_time_s": made.plan_time_s,
-        "timing_time_s": made.timing_time_s,
-        "duration_s": made.approach.duration_s,
-        "peak_speed_m_s": made.peaks.speed_m_s,
-        "peak_acceleration_m_s2": made.peaks.acceleration_m_s2,
-        "min_separation_m": made.separation.distance_m,
-        "min_separation_pair": [system_ids[first], system_ids[second]],
-    }
+    return {"mission": name, **plan_figures(system_ids, made)}
 
 
 def _words(name: str, mission: Mission, made: FlightPlan) -> str:

@@ -28,8 +28,9 @@ from fg_gcs.experiment.random_missions import random_mission
 from fg_gcs.experiment.tables import Cell, Column, ResultTable
 from fg_gcs.mission import load_mission
 from fg_gcs.record.evaluate.figures import PLANNED_STAGES
+from fg_gcs.record.read.run import load_run
+from fg_gcs.record.write.layouts import Columns
 from fg_gcs.record.write.recorder import SUMMARY, plain
-from fg_gcs.record.write.table import Columns, load
 
 Summary = Mapping[str, object]
 
@@ -208,7 +209,7 @@ def fly_once(text: str, autopilot: str | None) -> Flight:
         summary: dict[str, object] = json.loads((folder / SUMMARY).read_text())
         if str(summary["reason"]).startswith("stopped by SIG"):
             raise KeyboardInterrupt
-        broken, pairs_below = commanded(load(folder / "setpoints.npz"), summary, path)
+        broken, pairs_below = commanded(load_run(folder).setpoints, summary, path)
     return Flight(summary, broken, pairs_below)
 
 

@@ -11,6 +11,7 @@ from fg_gcs.flight.fleet import STEP_S, Fleet, names, until
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
 from fg_gcs.plan.limits import Limits
+from fg_gcs.record.write.layouts import NETWORK
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.autopilots import FailsafeParameter, TakeOff
 from fg_gcs.wire.commands import (
@@ -146,6 +147,7 @@ class Failsafes:
             for failsafe in vehicle.profile.failsafes
             if _to_change(vehicle, failsafe)
         ]
+        self._keep()  # before anything is changed: whatever happens, what was found can be looked up
         await self._fleet.ask(
             vehicles,
             lambda vehicle: [
@@ -168,6 +170,15 @@ class Failsafes:
             heard,
             lambda vehicle: [write_parameter(name, value) for owner, name, value in self._found if owner is vehicle],
         )
+
+    def _keep(self) -> None:
+        """Let the record have every parameter that was read, as found, and those that are set for the flight."""
+        kept = []
+        for vehicle in self._fleet.vehicles:
+            to_set = {f.name: f.wanted for f in vehicle.profile.failsafes if _to_change(vehicle, f)}
+            address = {"network": NETWORK, "system_id": vehicle.system_id}
+            kept.append({**address, "autopilot": vehicle.profile.name, "found": dict(vehicle.params), "set": to_set})
+        self._recorder.parameters(kept)
 
     def _report(self) -> None:
         now_s = asyncio.get_running_loop().time()

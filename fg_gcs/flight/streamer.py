@@ -18,6 +18,7 @@ from fg_gcs.flight.fleet import Fleet
 from fg_gcs.link.clock import ticks
 from fg_gcs.plan.trajectory import Sample
 from fg_gcs.plan.verification import CheckedPlan
+from fg_gcs.record.write.layouts import NETWORK
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
 
@@ -182,7 +183,7 @@ class Streamer:
                 system_id = self._fleet.vehicles[row].system_id
                 setpoint = Setpoint(positions[index], velocities[index], accelerations[index], headings[index])
                 router.send(system_id, pack_setpoint(setpoint, system_id, router.sender(system_id)))
-                record((time_s, system_id, *table[index], headings[index]))
+                record((time_s, NETWORK, system_id, *table[index], headings[index]))
         self._rounds_s.append(asyncio.get_running_loop().time())
 
 

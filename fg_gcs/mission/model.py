@@ -12,7 +12,7 @@ from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.core.separation import Fence
 from fg_gcs.mission.tables import Deviation, Finite, Ground, MissionTable, NotNegative, Point, Positive, SystemId
-from fg_gcs.mission.target_tables import MovingTarget, TrackTable
+from fg_gcs.mission.target_tables import FileTable, MovingTarget, TrackTable
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.plan.limits import Limits, Rules
@@ -242,7 +242,7 @@ class Mission(MissionTable):
 
         Raises:
             PlanError: the target's numbers are absurd; the loader refuses those.
-            MissionError: a target's file cannot be read, or something in it is wrong.
+            MissionError: a target's file could not be read, or something in it is wrong.
         """
         limits = self.limits
         return Task(
@@ -272,7 +272,7 @@ class Mission(MissionTable):
 
         Raises:
             PlanError: the target's numbers are absurd; the loader refuses those.
-            MissionError: a target's file cannot be read, or something in it is wrong.
+            MissionError: a target's file could not be read, or something in it is wrong.
         """
         if self.targets is None:
             assert self.target is not None, "the loader refuses missions without a target"
@@ -282,6 +282,11 @@ class Mission(MissionTable):
             return Target.ball(places[0])
         group = centre_of_charge(places, [target.weight for target in self.targets])
         return Target.ball(group.centre_enu_m, min(group.radius_m, self.track.most_radius_m))
+
+    def files(self) -> dict[str, bytes]:
+        """Return what is in the files that it names, by the paths as it has them."""
+        tables = [table for target in self.targets or () for table in (target.motion, target.source)]
+        return {table.path: table.file.data for table in tables if isinstance(table, FileTable)}
 
     def pads_enu_m(self) -> Array:
         """Return the pads of simulated vehicles: a square grid, row by row northwards, shape (V, 2) [m]."""

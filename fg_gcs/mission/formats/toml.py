@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission.model import Mission
-from fg_gcs.mission.tables import FOLDER, MissionTable, Problem
+from fg_gcs.mission.position_files import FILES, PositionFile
+from fg_gcs.mission.tables import MissionTable, Problem
 from fg_gcs.mission.validation import problems_of
 
 MAX_BYTES = 1_000_000  # a mission is some 2 kB; a file hundreds of times larger is not one
+MAX_POSITION_BYTES = 20_000_000  # of a file of positions: 10 Hz for half a day
 
 
 def load_mission(path: Path) -> Mission:
-    """Read and check a mission file.
+    """Read and check a mission file, and the files that it names.
 
     Raises:
         MissionError: one line that names file, table and key and says what would be accepted.
@@ -27,15 +30,32 @@ def load_mission(path: Path) -> Mission:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise MissionError(f"{path}: larger than {MAX_BYTES} bytes, so not a mission file")
-        tables = tomllib.loads(path.read_bytes().decode())
+        data = path.read_bytes()
     except OSError as error:
         raise MissionError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return parse_mission(data, str(path), lambda named: read_positions(path.parent / named))
+
+
+def parse_mission(data: bytes, name: str, files: Callable[[str], PositionFile]) -> Mission:
+    """Take a mission apart and check it.
+
+    Args:
+        data: what is in its file.
+        name: of the file, for errors.
+        files: returns a file of positions by its path in the mission.
+
+    Raises:
+        MissionError: one line that names file, table and key and says what would be accepted.
+    """
+    try:
+        tables = tomllib.loads(data.decode())
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise MissionError(f"{path}: not a TOML file: {' '.join(str(error).split())}") from error
+        raise MissionError(f"{name}: not a TOML file: {' '.join(str(error).split())}") from error
+    named = {path: files(path) for path in dict.fromkeys(_named_files(tables))}
     try:
         # By way of JSON, whose lists the strict model takes for points; TOML's dates become text and are refused there
         text = json.dumps(tables, default=str)
-        mission = Mission.model_validate_json(text, context={FOLDER: path.parent})
+        mission = Mission.model_validate_json(text, context={FILES: named})
     except ValidationError as error:
         found = [_explained(details) for details in error.errors()]
         # One problem a key, the first: a key of several types is told once for each of them
@@ -46,8 +66,34 @@ def load_mission(path: Path) -> Mission:
         table, key, text = problems[0]
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         place = " ".join(part for part in (f"[{table}]" if table else "", key) if part)
-        raise MissionError(f"{path}: {place}: {text}{more}")
+        raise MissionError(f"{name}: {place}: {text}{more}")
     return mission
+
+
+def read_positions(path: Path, name: str | None = None) -> PositionFile:
+    """Read a file of positions; what is wrong with it is told when its rows are asked for.
+
+    Args:
+        path: where it is.
+        name: that errors have (default: its path).
+    """
+    shown = str(path) if name is None else name
+    try:
+        if path.stat().st_size > MAX_POSITION_BYTES:
+            return PositionFile(shown, b"", f"larger than {MAX_POSITION_BYTES} bytes")
+        return PositionFile(shown, path.read_bytes())
+    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
+        return PositionFile(shown, b"", f"cannot be read: {getattr(error, 'strerror', None) or error}")
+
+
+def _named_files(tables: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the paths in a mission whose tables may still be anything at all."""
+    targets = tables.get("targets")
+    for target in targets if isinstance(targets, list) else ():
+        inner = [target.get(key) for key in ("motion", "source")] if isinstance(target, dict) else []
+        for table in inner:
+            if isinstance(table, dict) and table.get("kind") in ("file", "csv") and isinstance(table.get("path"), str):
+                yield table["path"]
 
 
 def _explained(details: ErrorDetails) -> Problem:
