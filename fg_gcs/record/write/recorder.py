@@ -141,24 +141,26 @@ class Recorder:
         self._now_s = 0.0  # the last time that anything was recorded
         self._known: dict[str, object] = {"completed": False, "reason": UNFINISHED, "run": folder.name}
         _keep_inputs(folder, mission_toml, inputs or {})
-        (folder / BALLAST).write_bytes(bytes(BALLAST_BYTES))
         self._files: list[RunFile] = []
         try:
+            (folder / BALLAST).write_bytes(bytes(BALLAST_BYTES))
             for layout in LAYOUTS:
                 self._files.append(TableFile(folder / layout.file_name, layout))
-            self._tlog, self._events = GrowingFile(folder / TLOG), GrowingFile(folder / EVENTS)
+            self._files.append(GrowingFile(folder / TLOG))
+            self._files.append(GrowingFile(folder / EVENTS))
         except OSError:
             self._close_files()
             raise
         self._summary, self._parameters = Document(folder / SUMMARY), Document(folder / PARAMETERS)
         self._writer = ThreadedWriter() if in_thread else Writer()
-        self._buffers = [Buffer(file, self._writer) for file in (*self._files, self._tlog)]
+        *buffered, self._events = self._files
+        self._buffers = [Buffer(file, self._writer) for file in buffered]
         tables = [
             TableRecorder(layout, buffer, self._writer) for layout, buffer in zip(LAYOUTS, self._buffers, strict=False)
         ]
         self.telemetry, self.setpoints, self.ticks, self.sightings, self.replans, self.truth = tables
         self._frames = self._buffers[-1]
-        self._files += [self._tlog, self._events, self._summary, self._parameters]
+        self._files += [self._summary, self._parameters]
         self._is_closed = False
         self.know()
 
@@ -210,7 +212,7 @@ class Recorder:
 
     def finish(self, summary: Mapping[str, object]) -> dict[str, object]:
         """Write the summary of a run that has come to its end; return it with what it says of the recording."""
-        self._known = dict(summary)
+        self._known = {**summary, **{key: value for key, value in self._known.items() if key not in summary}}
         self.settle()
         self._write_summary(self._known)
         self.settle()
@@ -239,7 +241,8 @@ class Recorder:
     def _tell(self, kind: str, text: str, data: Mapping[str, object], *, even_so: bool = False) -> None:
         with self.guard("event"):
             line = {"time_s": round(self._now_s, 4), "kind": kind, "text": text, **data}
-            self._writer.write(self._events, _line(line), self._now_s, even_so=even_so)
+            until_s = self._events.until_s if even_so else self._now_s
+            self._writer.write(self._events, _line(line), until_s, even_so=even_so)
         for listener in self.listeners:
             listener(self._now_s, kind, text)
 
