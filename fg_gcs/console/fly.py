@@ -9,7 +9,7 @@ import math
 import signal
 import sys
 import time
-from contextlib import AsyncExitStack, ExitStack
+from contextlib import AsyncExitStack, ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -83,7 +83,12 @@ def fly(path: Path, options: Options) -> int:
     gc.collect()
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     with asyncio.Runner(loop_factory=lambda: make_loop(options.speed)) as runner:
-        result, summary = runner.run(_fly(path, text, mission, options, folder))
+        try:
+            result, summary = runner.run(_fly(path, text, mission, options, folder))
+        except BaseException:
+            with suppress(Exception):  # what is worth telling is why the flight ended
+                write_report(folder)
+            raise
     if options.json:
         print(json.dumps(summary))
     return 0 if result.completed else 1

@@ -27,6 +27,7 @@ from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
 QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same: what is unknown grows
 LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before everybody goes home for it
+TRUE_PLACES = "where the targets truly are"
 TRUTH_S = 0.02  # between instants for which true positions are written down: the stream's usual period
 KEPT = frozenset({Verdict.TAKEN, Verdict.TENTATIVE})  # any other verdict is a refusal
 
@@ -169,7 +170,8 @@ class TargetFollower:
         """Track no longer, write down how it was, and close all ports; may be called at any time, and twice."""
         if self._core is not None and self._ended_s is None:
             self._ended_s = self._time()
-            self._write_truth(self._ended_s)
+            with self._journal.recorder.guard(TRUE_PLACES):
+                self._write_truth(self._ended_s)
             self._tell_record()
             refused = ", ".join(f"{count} {said(verdict)}" for verdict, count in self._refusals.items())
             self._journal.event("track", f"{self._count} sightings, refused: {refused or 'none'}")
@@ -342,22 +344,22 @@ class TargetFollower:
     def record_truth(self) -> None:
         """Write down where the targets truly were, as far as that is known for good; to be called now and then."""
         if self._core is not None and self._ended_s is None:
-            self._write_truth(min(self._time(), self._sources.known_until_s()))
+            with self._journal.recorder.guard(TRUE_PLACES):
+                self._write_truth(min(self._time(), self._sources.known_until_s()))
 
     def _write_truth(self, until_s: float) -> None:
         """Write down where the targets truly were from where that ended last time, if it is known at all."""
         recorder = self._journal.recorder
-        with recorder.guard("the targets' true places"):
-            step_s = (self._began_s + TRUTH_S) - self._began_s  # as between two numbers of that size
-            count = max(int(np.ceil((max(until_s, self._began_s) - self._began_s) / TRUTH_S)), self._truths)
-            time_s: Array = self._began_s + step_s * np.arange(self._truths, count, dtype=float)
-            self._truths = count
-            truth = self._sources.truth(time_s) if len(time_s) else None
-            if truth is None:
-                return
-            for row, at_s in enumerate(time_s.tolist()):
-                for name, place in zip(self._names, truth[row].tolist(), strict=True):
-                    recorder.truth.append((recorder.since_start_s(at_s), name, *place))
+        step_s = (self._began_s + TRUTH_S) - self._began_s  # as between two numbers of that size
+        count = max(int(np.ceil((max(until_s, self._began_s) - self._began_s) / TRUTH_S)), self._truths)
+        time_s: Array = self._began_s + step_s * np.arange(self._truths, count, dtype=float)
+        self._truths = count
+        truth = self._sources.truth(time_s) if len(time_s) else None
+        if truth is None:
+            return
+        for row, at_s in enumerate(time_s.tolist()):
+            for name, place in zip(self._names, truth[row].tolist(), strict=True):
+                recorder.truth.append((recorder.since_start_s(at_s), name, *place))
 
     def _tell_record(self) -> None:
         """Let the record know since when targets are tracked, caught, and tracked no longer."""

@@ -253,6 +253,20 @@ def test_what_cannot_be_put_together_ends_the_recording_and_nothing_else(tmp_pat
             raise ZeroDivisionError
 
 
+def test_a_listener_that_fails_hears_no_more_and_ends_nothing(tmp_path: Path) -> None:
+    heard: list[str] = []
+
+    def failing(time_s: float, kind: str, text: str) -> None:
+        raise RuntimeError("no terminal")
+
+    with Recorder(tmp_path, "", 0.0, 0.0) as recorder:
+        recorder.listeners += [failing, lambda _time_s, _kind, text: heard.append(text)]
+        recorder.event(1.0, "text", "first")
+        recorder.event(2.0, "text", "second")
+        assert recorder.failure is None
+    assert heard == ["a listener failed and hears no more: RuntimeError('no terminal')", "first", "second"]
+
+
 @pytest.mark.parametrize("in_thread", [False, True])
 def test_a_folder_that_is_gone_ends_the_recording_and_nothing_else(tmp_path: Path, in_thread: bool) -> None:
     folder, heard = tmp_path / "run", Heard()

@@ -360,7 +360,7 @@ def _told(events: Sequence[LoggedEvent]) -> Iterator[Row]:
 
 def _weight(event: LoggedEvent) -> str:
     severity = event.severity if isinstance(event.severity, int) else ERROR + WARNING
-    if event.kind in ("fault", "abort", "error") or severity <= ERROR:
+    if event.kind in ("fault", "abort", "error", "recording") or severity <= ERROR:
         return "fault"
     if event.kind in ("warning", "notice", "limit") or severity <= WARNING:
         return "care"

@@ -189,16 +189,15 @@ class ThreadedWriter(Writer):
 
     def write(self, file: RunFile, data: Data, time_s: float, *, even_so: bool = False) -> None:
         """Let the thread write; if too much waits already, the disk does not keep up."""
-        with self._lock:
-            is_full = self._waiting + len(data) > self._most
-            if is_full and not even_so:
+        if not even_so:
+            if self._waiting + len(data) > self._most:
+                self.fail(TOO_SLOW)
+            if self.problem is not None:
                 file.is_missing_some = True
-            else:
-                self._waiting += len(data)
-        if is_full and not even_so:
-            self.fail(TOO_SLOW)
-        else:
-            self._jobs.put(_Job(file, data, time_s, even_so))
+                return
+        with self._lock:
+            self._waiting += len(data)
+        self._jobs.put(_Job(file, data, time_s, even_so))
 
     def settle(self) -> None:
         """Wait for the thread."""

@@ -243,8 +243,12 @@ class Recorder:
             line = {"time_s": round(self._now_s, 4), "kind": kind, "text": text, **data}
             until_s = self._events.until_s if even_so else self._now_s
             self._writer.write(self._events, _line(line), until_s, even_so=even_so)
-        for listener in self.listeners:
-            listener(self._now_s, kind, text)
+        for listener in list(self.listeners):
+            try:
+                listener(self._now_s, kind, text)
+            except Exception as error:  # nobody who only listens ends a flight
+                self.listeners.remove(listener)
+                self._tell("warning", f"a listener failed and hears no more: {error!r}", {})
 
     def _check(self) -> None:
         """Tell once that recording has ended, and give up the ballast for that."""
