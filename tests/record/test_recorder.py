@@ -377,14 +377,17 @@ def test_memory_does_not_grow_with_the_flight(tmp_path: Path) -> None:
     with Recorder(tmp_path, "", 0.0, 0.0) as recorder:
         tracemalloc.start()
         try:
-            fly_on(recorder, 0, 10)
+            fly_on(recorder, 0, 20)
+            gc.collect()
             before, _ = tracemalloc.get_traced_memory()
-            fly_on(recorder, 10, 60)
+            fly_on(recorder, 20, 80)
+            gc.collect()
             after, _ = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-    assert after - before < 20_000
-    assert (tmp_path / "telemetry.npy").stat().st_size > 60 * 50 * TELEMETRY.row_bytes
+    written = 60 * 50 * (TELEMETRY.row_bytes + 209)
+    assert sum(path.stat().st_size for path in tmp_path.iterdir()) > written
+    assert after - before < written / 20
 
 
 def test_even_without_a_flush_little_waits_in_memory(tmp_path: Path) -> None:
