@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_gcs.record.evaluate.evaluation import evaluated
+from fg_gcs.record.evaluate.evaluation import evaluated, flown_figures
 from fg_gcs.record.read.run import IN_FLIGHT, load_run
 from fg_gcs.record.report.report import write_report
 from fg_gcs.record.write.recorder import EVENTS, MISSION, SUMMARY
@@ -98,3 +98,33 @@ def test_a_summary_that_names_more_leaders_than_were_heard(tmp_path: Path) -> No
     assert run.series is not None
     assert np.isnan(run.series.flux_metric).all()
     assert write_report(tmp_path / NAME).path.exists()
+
+
+def test_a_run_without_flown_figures_gets_them_from_its_tables(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / NAME)
+    whole = json.loads((folder / SUMMARY).read_text())
+    known = {key: value for key, value in whole.items() if not key.startswith(("flown", "tracking", "setpoint"))}
+    (folder / SUMMARY).write_text(json.dumps(known))
+    run = evaluated(folder)
+    assert run.number("flown_peak_speed_m_s") == pytest.approx(3.2)
+    assert run.number("tracking_rms_m") == pytest.approx(0.25)
+    assert run.number("late_ticks") == 3.0
+    assert run.figures == flown_figures(folder)
+
+
+def test_a_stage_that_had_not_ended_ends_with_the_record(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / NAME)
+    summary = json.loads((folder / SUMMARY).read_text())
+    summary["stages"]["land"][1] = None
+    (folder / SUMMARY).write_text(json.dumps(summary))
+    run = evaluated(folder)
+    assert run.remarks == ()
+    assert run.stages["land"] == (14.0, run.last_s)
+    assert 15.9 < run.last_s < 16.0
+
+
+def test_a_folder_that_is_gone_has_no_figures(tmp_path: Path) -> None:
+    write_run(tmp_path / NAME)
+    there, gone = flown_figures(tmp_path / NAME), flown_figures(tmp_path / "gone")
+    assert there.keys() == gone.keys()
+    assert not any(gone.values())

@@ -91,12 +91,19 @@ class EvaluatedRun(RecordedRun):
 
     def number(self, key: str) -> float | None:
         """Return a figure of the summary, or, of a run that did not come to its end, as it follows from the tables."""
-        return self.summary.number(key) if key in self.summary.values else as_number(self.figures.get(key))
+        if self.is_summed_up or key not in self.figures:
+            return self.summary.number(key)
+        return as_number(self.figures[key])
+
+    @property
+    def is_summed_up(self) -> bool:
+        """Whether the summary has the flown figures already."""
+        return FLOWN_KEYS[0] in self.summary.values
 
     @cached_property
     def found_again_s(self) -> tuple[float | None, ...]:
         """How long after the first new sighting a lost target was caught again, each time [s]; None: never."""
-        if "found_again_s" in self.summary.values or self.followed is None:
+        if self.is_summed_up or self.followed is None:
             return self.summary.durations("found_again_s")
         found = self.figures["found_again_s"]
         assert isinstance(found, list)
