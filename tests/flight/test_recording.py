@@ -10,7 +10,7 @@ import numpy as np
 from fg_gcs.record.read.run import load_run
 from fg_gcs.record.report.report import write_report
 from tests.flight.harness import CIRCLING, Flight, fly, mission_of
-from tests.record.test_recorder import small_disk
+from tests.record.disks import small_disk
 
 
 def test_a_disk_that_fills_up_in_flight_ends_the_recording_and_not_the_flight(tmp_path: Path) -> None:

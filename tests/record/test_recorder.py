@@ -6,7 +6,6 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import datetime
 from enum import Enum
 from pathlib import Path
@@ -32,6 +31,7 @@ from fg_gcs.record.write.recorder import (
     make_folder,
     plain,
 )
+from tests.record.disks import small_disk
 
 NOW = datetime(2026, 2, 3, 4, 5, 6)
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
@@ -284,19 +284,6 @@ def test_a_folder_that_is_gone_ends_the_recording_and_nothing_else(tmp_path: Pat
     assert "is gone" in heard.texts[0]
     assert not folder.exists()
     assert (summary["completed"], summary["recording_complete"]) == (True, False)
-
-
-@contextmanager
-def small_disk(place: Path, kilobytes: int) -> Iterator[Path]:
-    """Mount a small file system in memory."""
-    place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "tmpfs", str(place)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("only root may mount a small disk, and not everywhere")
-    try:
-        yield place
-    finally:
-        subprocess.run(["umount", str(place)], check=True)
 
 
 @pytest.mark.parametrize("in_thread", [False, True])
