@@ -179,7 +179,7 @@ def _summary(path: Path, mission: Mission, result: FlightResult, recorder: Recor
     recorder.know(target_enu_m=target_enu_m, stages=result.stages)
     recorder.settle()
     summary |= flown_figures(recorder.folder)
-    summary |= _tracking_keys(result)
+    summary |= _tracking_keys(result, recorder)
     summary |= {
         "late_ticks": result.late_ticks,
         "lost_vehicles": list(result.lost),
@@ -200,18 +200,22 @@ def _summary(path: Path, mission: Mission, result: FlightResult, recorder: Recor
     return plained
 
 
-def _tracking_keys(result: FlightResult) -> dict[str, object]:
-    """What the tables do not say of the tracking; of a target at rest it is 0 or none."""
-    keys: dict[str, object] = {"replans_late": 0, "replan_median_ms": None, "replan_p99_ms": None}
-    keys |= {"sightings": 0, "sightings_rejected": {}}
+def _tracking_keys(result: FlightResult, recorder: Recorder) -> dict[str, object]:
+    """What is known of the tracking without its tables; of a target at rest it is 0 or none."""
+    keys: dict[str, object] = {"replans": 0, "replans_late": 0, "replan_median_ms": None, "replan_p99_ms": None}
+    keys |= {"capture_time_s": None, "sightings": 0, "sightings_rejected": {}}
     tracking = result.tracking
     if tracking is None:
         return keys
     if tracking.planning_s:
         took_ms = [1e3 * took for took in tracking.planning_s]
         keys |= {"replan_median_ms": np.median(took_ms), "replan_p99_ms": np.percentile(took_ms, 99)}
+    if tracking.caught_s is not None:
+        began_s, caught_s = (recorder.since_start_s(time_s) for time_s in (tracking.began_s, tracking.caught_s))
+        keys["capture_time_s"] = caught_s - began_s
     rejected = {verdict.name.lower(): count for verdict, count in tracking.refused.items()}
     return keys | {
+        "replans": len(tracking.planning_s),
         "replans_late": tracking.late,
         "sightings": tracking.sightings,
         "sightings_rejected": rejected,
