@@ -57,9 +57,13 @@ def report(folder: Path) -> ExitCode:
     """Write a recorded run's report again.
 
     Raises:
-        MissionError: the folder does not hold a recorded run.
+        RunError: the folder does not hold a recorded run.
+        MissionError: the report cannot be written.
     """
-    print(f"report: {reporting.report(folder)}", file=sys.stderr)
+    written = reporting.report(folder)
+    for remark in written.remarks:
+        print(f"fg-gcs: {folder}: {remark}", file=sys.stderr)
+    print(f"report: {written.path}", file=sys.stderr)
     return ExitCode.DONE
 
 

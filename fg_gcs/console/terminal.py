@@ -18,7 +18,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from fg_gcs.flight.snapshot import LoggedEvent, Snapshot, TargetSnapshot, TrackingSnapshot, VehicleSnapshot
+from fg_gcs.flight.snapshot import RunEvent, Snapshot, TargetSnapshot, TrackingSnapshot, VehicleSnapshot
 from fg_gcs.mission import Mission
 from fg_gcs.run.observing import Observer
 
@@ -76,7 +76,7 @@ class Terminal(Observer):
             with self._one_frame():
                 self._live.stop()
 
-    def event(self, event: LoggedEvent) -> None:
+    def event(self, event: RunEvent) -> None:
         """Print an event that is meant for people."""
         if not self._begun:
             self._begin()

@@ -23,7 +23,8 @@ from fg_gcs.mission import Mission, load_mission, parse_mission
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.rules import Peaks, broken, peaks_of, too_close
 from fg_gcs.record.evaluate.figures import PLANNED_STAGES
-from fg_gcs.record.write.table import Columns, load
+from fg_gcs.record.read.run import load_run
+from fg_gcs.record.write.layouts import Columns
 from fg_gcs.run.flying import FlyOptions, fly_blocking
 
 Summary = Mapping[str, object]
@@ -178,7 +179,7 @@ def fly_once(text: str, autopilot: str | None) -> Flight:
         )
         if isinstance(result.error, FgError):
             raise result.error
-        return Flight(result.summary, *commanded(load(result.folder / "setpoints.npz"), result.summary, mission))
+        return Flight(result.summary, *commanded(load_run(result.folder).setpoints, result.summary, mission))
 
 
 def commanded(setpoints: Columns, summary: Summary, mission: Mission) -> tuple[tuple[str, ...], int]:

@@ -23,14 +23,14 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Counters, Direction, Router
 from fg_gcs.mission.model import Mission
-from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight
+from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
-DRAIN_S = 0.2  # how often texts and phase changes are written down: soon enough for a person to read along
+DRAIN_S = 0.2  # how often everything is written down: soon enough for a person to read along, and after a crash
 
 
 class Setup(NamedTuple):
@@ -232,6 +232,12 @@ class Director:
         await failsafes[0].set()
         origin = self.mission.origin_geodetic() if self._knows_origin else None
         fleet.learn_frames(origin, self.mission.pads_enu_m()[0])
+        self.journal.recorder.know(
+            vehicles=len(fleet.vehicles),
+            limits=vars(limits),
+            separation_m=task.rules.separation_m,
+            target_enu_m=task.target_enu_m,
+        )
         return replace(task, rules=replace(task.rules, limits=limits))
 
     def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
@@ -240,6 +246,9 @@ class Director:
         tops[:, 2] = self.mission.takeoff.height_m
         plan = compile_flight(task, tops, self._setup.stopwatch)
         self.result.plan, self.result.task = plan, task
+        ids = [vehicle.label for vehicle in fleet.row_of]
+        leaders = [ids[row] for row in plan.rim_of]
+        self.journal.recorder.know(leader_ids=leaders, **plan_figures(ids, plan))
         self.journal.event(
             "plan",
             f"{plan.figures.path_length_m:.1f} m for {len(plan.rim_of)} leaders in {plan.approach.duration_s:.1f} s, "
@@ -307,9 +316,12 @@ class Director:
             await asyncio.gather(job, return_exceptions=True)
 
     async def _drain(self, router: Router) -> None:
-        """Write down what vehicles and router say while it happens: run it as a task."""
+        """Write down what vehicles and router say while it happens, and all tables: run it as a task."""
         async for _ in ticks(self.journal.time(), DRAIN_S):
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
+            if self.target_follower is not None:
+                self.target_follower.record_truth()
+            self.journal.recorder.flush()
             if self.streamer is None or not self.streamer.streams:
                 self._good_moment(self.journal.time())
 
@@ -338,7 +350,7 @@ class Director:
             state = self.fleet.state_enu(vehicle)
             if state is not None:
                 recorder = self.journal.recorder
-                recorder.telemetry.append((recorder.since_start_s(now_s), vehicle.system_id, *state))
+                recorder.telemetry.append((recorder.since_start_s(now_s), *vehicle.address, *state))
 
 
 def _places(networks: Mapping[str, tuple[Endpoint, ...]]) -> str:

@@ -43,10 +43,12 @@ class Journal:
         began_s = self.recorder.since_start_s(self.time())
         begin_s = self.stages.get(stage, (began_s, began_s))[0]  # a way home broken off goes on as another way home
         self.event("stage", stage, stage=stage)
+        self.recorder.know(stages={**self.stages, stage: (begin_s, None)})
         try:
             yield
         finally:
             self.stages[stage] = (begin_s, self.recorder.since_start_s(self.time()))
+            self.recorder.know(stages=dict(self.stages))
 
     def drain(self, router: Router, vehicles: Iterable[Vehicle]) -> None:
         """Take out and write down what the router and the vehicles have to say."""

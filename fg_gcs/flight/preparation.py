@@ -160,6 +160,7 @@ class Failsafes:
             for failsafe in vehicle.profile.failsafes
             if _to_change(vehicle, failsafe)
         ]
+        self._keep()  # before anything is changed: whatever happens, what was found can be looked up
         await self._fleet.ask(
             vehicles,
             lambda vehicle: [
@@ -182,6 +183,15 @@ class Failsafes:
             heard,
             lambda vehicle: [write_parameter(name, value) for owner, name, value in self._found if owner is vehicle],
         )
+
+    def _keep(self) -> None:
+        """Let the record have every parameter that was read, as found, and those that are set for the flight."""
+        kept = []
+        for vehicle in self._fleet.vehicles:
+            to_set = {f.name: f.wanted for f in vehicle.profile.failsafes if _to_change(vehicle, f)}
+            address = vehicle.address._asdict()
+            kept.append({**address, "autopilot": vehicle.profile.name, "found": dict(vehicle.params), "set": to_set})
+        self._journal.recorder.parameters(kept)
 
     def _report(self) -> None:
         groups: dict[tuple[str, float, float | None, str], list[VehicleAddress]] = {}

@@ -19,7 +19,7 @@ VERSION: Final = 1
 Vector = tuple[float, float, float]
 
 
-class LoggedEvent(NamedTuple):
+class RunEvent(NamedTuple):
     """Something that happened."""
 
     time_s: float  # since the run's start
@@ -108,7 +108,7 @@ class Snapshot:
     tracking: TrackingSnapshot | None  # None while nothing is tracked
     tracks: bool  # the mission has moving targets, so that there will be something to say about tracking
     counters: CounterSnapshot
-    events: tuple[LoggedEvent, ...]  # since the snapshot before
+    events: tuple[RunEvent, ...]  # since the snapshot before
     version: int = VERSION
 
     def to_json(self) -> str:
@@ -135,7 +135,7 @@ def from_json(line: str | bytes) -> Snapshot:
                 "target": None if found["target"] is None else _read(TargetSnapshot, found["target"]),
                 "tracking": None if found["tracking"] is None else _read(TrackingSnapshot, found["tracking"]),
                 "counters": _read(CounterSnapshot, found["counters"]),
-                "events": tuple(LoggedEvent(*(each[name] for name in LoggedEvent._fields)) for each in found["events"]),
+                "events": tuple(RunEvent(*(each[name] for name in RunEvent._fields)) for each in found["events"]),
             },
         )
     except (KeyError, TypeError, AttributeError) as error:
@@ -159,7 +159,7 @@ def vector(values: Sequence[float] | None) -> Vector | None:
 def _plain(value: object) -> object:
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, LoggedEvent):
+    if isinstance(value, RunEvent):
         return value._asdict()
     if isinstance(value, tuple):
         return [_plain(item) for item in value]

@@ -10,7 +10,7 @@ from fg_gcs.core.frames import rotate_ned_enu
 from fg_gcs.flight.journal import STAGES
 from fg_gcs.flight.snapshot import (
     CounterSnapshot,
-    LoggedEvent,
+    RunEvent,
     Snapshot,
     TargetSnapshot,
     TrackingSnapshot,
@@ -57,10 +57,10 @@ class SnapshotMaker:
         self._readers = readers
         self._period_s = 1.0 / min(rate_hz, MOST_HZ)
         self._due_s = -math.inf
-        self._events: deque[LoggedEvent] = deque(maxlen=MOST_EVENTS)
+        self._events: deque[RunEvent] = deque(maxlen=MOST_EVENTS)
         self._number = 0
 
-    def event(self, event: LoggedEvent) -> None:
+    def event(self, event: RunEvent) -> None:
         """Keep an event for the next snapshot."""
         self._events.append(event)
 

@@ -116,7 +116,7 @@ class Streamer:
                 address = self._fleet.vehicles[row].address
                 setpoint = Setpoint(positions[index], velocities[index], accelerations[index], headings[index])
                 router.send(address, pack_setpoint(setpoint, address.system_id, router.sender(address)))
-                record((time_s, address.system_id, *table[index], headings[index]))
+                record((time_s, *address, *table[index], headings[index]))
         self._rounds_s.append(asyncio.get_running_loop().time())
 
     def _turned(self, motion: Motion, wanted: SwarmSetpoint, now_s: float) -> SwarmSetpoint:

@@ -25,6 +25,7 @@ from fg_gcs.track.following_core import QUIET_S, FollowingCore
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
 LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before the swarm goes home for it
+TRUE_PLACES = "where the targets truly are"
 TRUTH_S = 1.0 / SETPOINTS_HZ  # between instants for which true positions are written down
 KEPT = frozenset({Verdict.TAKEN, Verdict.TENTATIVE})  # any other verdict is a refusal
 
@@ -114,6 +115,7 @@ class TargetFollower:
         self._refusals: Counter[Verdict] = Counter()
         self._modes: set[FollowMode] = set()
         self._lost: tuple[str, ...] = ()
+        self._truths = 0  # instants for which it is written down where the targets truly were
 
     async def open(self) -> None:
         """Open the ports of all sources.
@@ -138,6 +140,7 @@ class TargetFollower:
             )
         )
         self._sources.begin(origin)
+        self._tell_record()
 
     async def run(self) -> None:
         """Plan whenever something was seen, or nothing for a while: run it as a task."""
@@ -166,7 +169,9 @@ class TargetFollower:
         """Track no longer, write down how it was, and close all ports; may be called at any time, and twice."""
         if self._core is not None and self._ended_s is None:
             self._ended_s = self._time()
-            self._write_truth(self._ended_s)
+            with self._journal.recorder.guard(TRUE_PLACES):
+                self._write_truth(self._ended_s)
+            self._tell_record()
             refused = ", ".join(f"{count} {said(verdict)}" for verdict, count in self._refusals.items())
             self._journal.event("track", f"{self._count} sightings came; refused: {refused or 'none'}")
         self._sources.close()
@@ -250,10 +255,10 @@ class TargetFollower:
         now_s, recorder = self._time(), self._journal.recorder
         verdict = self._core.sighted(sighting, now_s)
         self._count += 1
-        target = self._names.index(sighting.target) if sighting.target in self._names else -1
+        target = sighting.target if sighting.target in self._names else ""
         stamp_s, arrived_s = recorder.since_start_s(sighting.time_s), recorder.since_start_s(now_s)
-        position, code = sighting.position_enu_m.tolist(), list(Verdict).index(verdict)
-        recorder.sightings.append((stamp_s, arrived_s, target, *position, code))
+        position = sighting.position_enu_m.tolist()
+        recorder.sightings.append((stamp_s, arrived_s, target, *position, verdict.name.lower()))
         if verdict not in KEPT:
             self._refuse(verdict, 1)
         elif verdict is Verdict.TAKEN:
@@ -307,6 +312,7 @@ class TargetFollower:
         self._tell(replan.mode, known)
         if not was_caught and core.caught_s is not None:
             self._journal.event("track", f"the target is caught after {now_s - self._began_s:.1f} s")
+            self._tell_record()
 
     def _measure(self) -> None:
         """Find out when the first setpoint after the last trajectory left, once it has."""
@@ -319,7 +325,7 @@ class TargetFollower:
         """Write a replan down: when it began, when the sighting came that it is for, and when it was done."""
         recorder = self._journal.recorder
         began_s, sighted_s, done_s = map(recorder.since_start_s, times_s)
-        what = list(FollowMode).index(replan.mode), replan.taken
+        what = replan.mode.name.lower(), replan.taken
         estimate = *known.position_enu_m.tolist(), *known.velocity_m_s.tolist(), known.age_s, known.radius_m
         recorder.replans.append((began_s, sighted_s, done_s, *what, *estimate, error_m))
 
@@ -340,16 +346,32 @@ class TargetFollower:
             return False
         return self._core.replanner.chases(Goal(known.prediction, 1.0))
 
+    def record_truth(self) -> None:
+        """Write down where the targets truly were, as far as that is known for good; to be called now and then."""
+        if self._core is not None and self._ended_s is None:
+            with self._journal.recorder.guard(TRUE_PLACES):
+                self._write_truth(min(self._time(), self._sources.known_until_s()))
+
     def _write_truth(self, until_s: float) -> None:
-        """Write down where the targets truly were, as far as that is known."""
-        time_s = np.arange(self._began_s, until_s, TRUTH_S)
-        truth = self._sources.truth(time_s)
-        if truth is None or not len(time_s):
-            return
+        """Write down where the targets truly were from where that ended last time, if it is known at all."""
         recorder = self._journal.recorder
+        step_s = (self._began_s + TRUTH_S) - self._began_s  # as between two numbers of that size
+        count = max(int(np.ceil((max(until_s, self._began_s) - self._began_s) / TRUTH_S)), self._truths)
+        time_s: Array = self._began_s + step_s * np.arange(self._truths, count, dtype=float)
+        self._truths = count
+        truth = self._sources.truth(time_s) if len(time_s) else None
+        if truth is None:
+            return
         for row, at_s in enumerate(time_s.tolist()):
-            for target, place in enumerate(truth[row].tolist()):
-                recorder.truth.append((recorder.since_start_s(at_s), target, *place))
+            for name, place in zip(self._names, truth[row].tolist(), strict=True):
+                recorder.truth.append((recorder.since_start_s(at_s), name, *place))
+
+    def _tell_record(self) -> None:
+        """Let the record know since when targets are tracked, caught, and tracked no longer."""
+        times_s = {"began_s": self._began_s, "ended_s": self._ended_s, "caught_s": self.caught_s}
+        since_start_s = self._journal.recorder.since_start_s
+        told = {key: None if time_s is None else since_start_s(time_s) for key, time_s in times_s.items()}
+        self._journal.recorder.know(tracking=told)
 
 
 def said(verdict: Verdict) -> str:

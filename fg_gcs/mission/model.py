@@ -25,7 +25,7 @@ from fg_gcs.mission.tables import (
     SystemId,
     VehicleEndpoint,
 )
-from fg_gcs.mission.target_tables import MovingTarget, TrackTable
+from fg_gcs.mission.target_tables import FileTable, MovingTarget, TrackTable
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.plan.limits import Limits, Rules
@@ -323,7 +323,7 @@ class Mission(MissionTable):
 
         Raises:
             PlanError: the target's numbers are absurd; the loader refuses those.
-            MissionError: a target's file cannot be read, or something in it is wrong.
+            MissionError: a target's file could not be read, or something in it is wrong.
         """
         limits = self.limits
         return Task(
@@ -353,7 +353,7 @@ class Mission(MissionTable):
 
         Raises:
             PlanError: the target's numbers are absurd; the loader refuses those.
-            MissionError: a target's file cannot be read, or something in it is wrong.
+            MissionError: a target's file could not be read, or something in it is wrong.
         """
         if self.targets is None:
             assert self.target is not None, "the loader refuses missions without a target"
@@ -367,6 +367,11 @@ class Mission(MissionTable):
     def tracking(self) -> TrackingSettings:
         """Return how the moving targets are followed."""
         return self.track.settings({target.name: target.weight for target in self.targets or ()})
+
+    def files(self) -> dict[str, bytes]:
+        """Return what is in the files that it names, by the paths as it has them."""
+        tables = [table for target in self.targets or () for table in (target.motion, target.source)]
+        return {table.path: table.file.data for table in tables if isinstance(table, FileTable)}
 
     def pads_enu_m(self) -> Array:
         """Return the pads of simulated vehicles: a square grid, row by row northwards, shape (V, 2) [m]."""

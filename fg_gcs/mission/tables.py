@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
-
-FOLDER = "folder"  # of the mission file: the key of the validation context under which the loader states it
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class Problem(NamedTuple):
@@ -24,11 +21,6 @@ class MissionTable(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
-def _beside_the_mission(path: str, info: ValidationInfo) -> str:
-    folder = (info.context or {}).get(FOLDER)
-    return path if folder is None else str(Path(folder) / path)
-
-
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -43,4 +35,4 @@ NetworkSystemId = Annotated[str, Field(pattern=r"^[a-z0-9_-]{1,16}/(?:[1-9]\d?|1
 VehicleEndpoint = Annotated[str, Field(pattern=r"^(?:udp|udpin|udpout|tcp):(?:[^:\s]+:)?\d{1,5}$")]
 Point = tuple[Finite, Finite, Finite]
 Ground = tuple[Finite, Finite]
-FilePath = Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_beside_the_mission)]
+FilePath = Annotated[str, Field(min_length=1, max_length=1000)]  # absolute, or from the mission's folder

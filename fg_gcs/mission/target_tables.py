@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.errors import MissionError
+from fg_gcs.mission.position_files import FILES, PositionFile
 from fg_gcs.mission.tables import (
     Deviation,
     FilePath,
@@ -30,11 +30,9 @@ from fg_gcs.scenario.motions import TrueMotion
 from fg_gcs.scenario.sensor import SensorSettings
 from fg_gcs.track.estimate.estimator import Settings
 from fg_gcs.track.following_core import TrackingSettings
-from fg_gcs.track.sightings import Sighting, parse_csv
+from fg_gcs.track.sightings import Sighting
 
 Udp = Annotated[str, Field(pattern=r"^udpin:(?:[^:\s]+:)?\d{1,5}$")]
-
-MAX_BYTES = 20_000_000  # of a file of positions: 10 Hz for half a day
 
 
 class StaticMotion(MissionTable):
@@ -135,22 +133,43 @@ class RandomWalkMotion(MissionTable):
         )
 
 
-class FileMotion(MissionTable):
-    """Through the positions of a file."""
+class FileTable(MissionTable):
+    """A table that names a file, which whoever loads the mission hands in."""
 
-    kind: Literal["file"] = Field(description='"file"')
     path: FilePath = Field(
         description="the name of a CSV file, relative to the mission's folder, see missions/README.md"
     )
+    _file: PositionFile | None = PrivateAttr(default=None)
 
-    def motion(self, target: str) -> TrueMotion:
-        """Read the motion of the target of that name.
+    def model_post_init(self, context: Any) -> None:  # noqa: ANN401 - pydantic's own signature
+        """Take the file out of the validation's context."""
+        self._file = (context or {}).get(FILES, {}).get(self.path)
+
+    @property
+    def file(self) -> PositionFile:
+        """What is in the file.
 
         Raises:
-            MissionError: the file cannot be read, or something in it is wrong.
+            MissionError: the mission was not loaded from anywhere, so the file was not read.
+        """
+        if self._file is None:
+            raise MissionError(f"{self.path}: has not been read")
+        return self._file
+
+
+class FileMotion(FileTable):
+    """Through the positions of a file."""
+
+    kind: Literal["file"] = Field(description='"file"')
+
+    def motion(self, target: str) -> TrueMotion:
+        """Return the motion of the target of that name.
+
+        Raises:
+            MissionError: the file could not be read, or something in it is wrong.
             ValueError: its times do not ascend.
         """
-        rows = read_positions(self.path, target, 0.0)
+        rows = self.file.rows(target, 0.0)
         times_s = np.array([row.time_s for row in rows])
         return recorded.Recorded(times_s, np.array([row.position_enu_m for row in rows]))
 
@@ -164,13 +183,10 @@ class ScriptSource(MissionTable):
     kind: Literal["script"] = Field(description='"script"')
 
 
-class CsvSource(MissionTable):
+class CsvSource(FileTable):
     """Sightings of a file, replayed from the start of tracking."""
 
     kind: Literal["csv"] = Field(description='"csv"')
-    path: FilePath = Field(
-        description="the name of a CSV file, relative to the mission's folder, see missions/README.md"
-    )
 
 
 class UdpSource(MissionTable):
@@ -274,27 +290,27 @@ class MovingTarget(MissionTable):
         """Return how it moves; None for a target whose motion is not part of the mission.
 
         Raises:
-            MissionError: its file cannot be read, or something in it is wrong.
+            MissionError: its file could not be read, or something in it is wrong.
             ValueError: its keys contradict each other; the loader refuses those.
         """
         return None if self.motion is None else self.motion.motion(self.name)
 
     def replay(self) -> list[Sighting]:
-        """Read the sightings of a source of kind ``csv``, in the order of their stamps; none for other kinds.
+        """Return the sightings of a source of kind ``csv``, in the order of their stamps; none for other kinds.
 
         Raises:
-            MissionError: the file cannot be read, or something in it is wrong.
+            MissionError: the file could not be read, or something in it is wrong.
         """
         if not isinstance(self.source, CsvSource):
             return []
-        rows = read_positions(self.source.path, self.name, self.sensor.sigma_m)
+        rows = self.source.file.rows(self.name, self.sensor.sigma_m)
         return sorted(rows, key=lambda row: row.time_s)
 
     def first_enu_m(self) -> Array:
         """Return where it is at first, shape (3,) [m; ENU].
 
         Raises:
-            MissionError: its file cannot be read, or something in it is wrong.
+            MissionError: its file could not be read, or something in it is wrong.
             ValueError: nothing says so; the loader refuses that.
         """
         if self.position_enu_m is not None:
@@ -348,22 +364,3 @@ class TrackTable(MissionTable):
         """Return what following needs to know, with the weight of every target by its name."""
         estimator = Settings(model=self.model, lost_after_s=self.lost_after_s)
         return TrackingSettings(weights, estimator, self.capture_m, self.confidence, self.most_radius_m)
-
-
-def read_positions(path: str, target: str, sigma_m: float) -> list[Sighting]:
-    """Read the rows of one target in a file, in the order of the file.
-
-    Raises:
-        MissionError: the file cannot be read, is not such a file, or has no row of the target; one line.
-    """
-    file = Path(path)
-    try:
-        if file.stat().st_size > MAX_BYTES:
-            raise MissionError(f"{path}: larger than {MAX_BYTES} bytes")
-        data = file.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
-        raise MissionError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    rows = [row for row in parse_csv(data, path, sigma_m) if row.target == target]
-    if not rows:
-        raise MissionError(f"{path}: no row for target {target!r}; accepted: one or more")
-    return rows

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -154,3 +154,26 @@ def _figures(task: Task, iterates: int, approach: CheckedPlan, rim: Indices) -> 
         coverage_min_after_facing=float(covered.min()) if least is None else least,
         last_scale=task.last_scale,
     )
+
+
+def plan_figures(system_ids: Sequence[int | str], made: FlightPlan) -> dict[str, object]:
+    """Return a plan's figures by the names of the command line's JSON; peaks and separation are the whole flight's.
+
+    Args:
+        system_ids: of the vehicles, as files hold them, in the order of the plan's rows.
+        made: the plan.
+    """
+    first, second = made.separation.pair
+    return {
+        "planner": "flux_guided",
+        "vehicles": len(made.slot_of),
+        "leaders": len(made.rim_of),
+        **made.figures._asdict(),
+        "plan_time_s": made.plan_time_s,
+        "timing_time_s": made.timing_time_s,
+        "duration_s": made.approach.duration_s,
+        "peak_speed_m_s": made.peaks.speed_m_s,
+        "peak_acceleration_m_s2": made.peaks.acceleration_m_s2,
+        "min_separation_m": made.separation.distance_m,
+        "min_separation_pair": [system_ids[first], system_ids[second]],
+    }

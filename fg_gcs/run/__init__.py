@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fg_gcs.core.frames import Geodetic
     from fg_gcs.errors import FgError, LinkError, MissionError, PlanError, VehicleError
-    from fg_gcs.flight.snapshot import LoggedEvent, Snapshot
+    from fg_gcs.flight.snapshot import RunEvent, Snapshot
     from fg_gcs.mission import Mission, load_mission, parse_mission
     from fg_gcs.run.flying import FlyOptions, Outcome, RunResult, fly, fly_blocking
     from fg_gcs.run.observing import Observer
@@ -24,7 +24,7 @@ _HOMES = {
     "FlyOptions": "fg_gcs.run.flying",
     "Geodetic": "fg_gcs.core.frames",
     "LinkError": "fg_gcs.errors",
-    "LoggedEvent": "fg_gcs.flight.snapshot",
+    "RunEvent": "fg_gcs.flight.snapshot",
     "Mission": "fg_gcs.mission",
     "MissionError": "fg_gcs.errors",
     "Observer": "fg_gcs.run.observing",
@@ -47,13 +47,13 @@ __all__ = [
     "FlyOptions",
     "Geodetic",
     "LinkError",
-    "LoggedEvent",
     "Mission",
     "MissionError",
     "Observer",
     "Outcome",
     "PlanError",
     "PlannedMission",
+    "RunEvent",
     "RunResult",
     "Snapshot",
     "VehicleError",

@@ -19,6 +19,7 @@ from fg_gcs.link.clock import make_loop, speed_of
 from fg_gcs.link.endpoint import Endpoint, parse_networks
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
+from fg_gcs.record.read.run import RunError
 from fg_gcs.record.report.report import write_report
 from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder
 from fg_gcs.run.observing import Audience, Observer
@@ -130,12 +131,13 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
     virtual = math.isinf(speed_of(loop))
     epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
     async with AsyncExitStack() as stack:
-        recorder = stack.enter_context(Recorder(folder, mission.text, loop.time(), epoch_s))
+        recorder = stack.enter_context(_recorder(folder, mission, loop.time(), epoch_s, in_thread=not virtual))
+        recorder.know(mission=str(mission.path))
         audience = await stack.enter_async_context(
             Audience.open(observers, recorder, folder if chosen.serve_snapshots and not virtual else None)
         )
         director, error = await _flown(mission, chosen, networks, recorder, audience)
-        result = await asyncio.to_thread(_finished, mission, chosen, director, error, recorder)
+        result = await asyncio.to_thread(_finished, mission, chosen, director, error, recorder, loop.time())
     if isinstance(error, asyncio.CancelledError):
         raise error
     return result
@@ -202,6 +204,13 @@ def _folder(mission: Mission, options: FlyOptions) -> Path:
         raise MissionError(f"--logs {options.logs}: {error.strerror or error}") from error
 
 
+def _recorder(folder: Path, mission: Mission, start_s: float, epoch_s: float, *, in_thread: bool) -> Recorder:
+    try:
+        return Recorder(folder, mission.text, start_s, epoch_s, mission.files(), in_thread=in_thread)
+    except OSError as error:
+        raise MissionError(f"--logs {folder.parent}: {error.strerror or error}") from error
+
+
 async def _flown(
     mission: Mission, options: FlyOptions, networks: Networks, recorder: Recorder, audience: Audience
 ) -> tuple[Director, Exception | asyncio.CancelledError | None]:
@@ -262,15 +271,18 @@ def _finished(
     director: Director,
     ended_by: Exception | asyncio.CancelledError | None,
     recorder: Recorder,
+    now_s: float,
 ) -> RunResult:
     """Write summary and report; return what came of the run."""
     flight = director.result
     error = ended_by if isinstance(ended_by, Exception) else None
     reason = flight.reason if error is None else str(error) or repr(error)
-    summary = summary_of(mission, flight, recorder, reason)
-    recorder.finish(summary)
+    summary = recorder.finish(summary_of(mission, flight, recorder, reason))
     if options.write_report:
-        write_report(recorder.folder)
+        try:
+            write_report(recorder.folder)
+        except (OSError, RunError) as problem:  # the disk is full, or the folder is gone
+            recorder.event(now_s, "warning", f"the report cannot be written: {problem}")
     return RunResult(_outcome(flight, error), reason, summary, recorder.folder, flight, error)
 
 

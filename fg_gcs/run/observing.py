@@ -10,7 +10,7 @@ from typing import Final
 
 from fg_gcs.errors import LinkError
 from fg_gcs.flight.director import Director
-from fg_gcs.flight.snapshot import LoggedEvent, Snapshot
+from fg_gcs.flight.snapshot import RunEvent, Snapshot
 from fg_gcs.flight.snapshot_maker import SnapshotMaker
 from fg_gcs.link.broadcast import LineBroadcast
 from fg_gcs.record.write.recorder import Recorder
@@ -28,7 +28,7 @@ class Observer:
     def started(self, director: Director) -> None:
         """Take the flight's handle: :meth:`Director.interrupt` stops it, the first time home, then on the spot."""
 
-    def event(self, event: LoggedEvent) -> None:
+    def event(self, event: RunEvent) -> None:
         """Take what has just happened."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
@@ -46,7 +46,7 @@ class Audience:
         self._broadcast = broadcast
         self._maker: SnapshotMaker | None = None
         self._time = asyncio.get_running_loop().time
-        recorder.listener = self._heard
+        recorder.listeners.append(self._heard)
 
     @classmethod
     @asynccontextmanager
@@ -86,7 +86,7 @@ class Audience:
             self._broadcast.send(snapshot.to_json())
 
     def _heard(self, time_s: float, kind: str, text: str) -> None:
-        event = LoggedEvent(time_s, kind, text)
+        event = RunEvent(time_s, kind, text)
         if self._maker is not None:
             self._maker.event(event)
         self._every(lambda observer: observer.event(event), self._observers)

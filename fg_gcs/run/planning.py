@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from fg_gcs.errors import PlanError
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
-from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight
+from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
 
 
 @dataclass(frozen=True)
@@ -52,23 +52,6 @@ def plan(mission: Mission) -> PlannedMission:
         made = compile_flight(task, mission.tops_enu_m(), time.perf_counter)
     except PlanError as error:
         raise PlanError(f"{mission.path}: {error}") from error
-    return PlannedMission(mission, task, made, plan_keys(str(mission.path), mission.swarm.ids(), made))
-
-
-def plan_keys(name: str, system_ids: Sequence[int | str], made: FlightPlan) -> dict[str, object]:
-    """Return a plan's figures by the names of the command line's JSON; peaks and separation are the whole flight's."""
-    first, second = made.separation.pair
-    return {
-        "mission": name,
-        "planner": "flux_guided",
-        "vehicles": len(made.slot_of),
-        "leaders": len(made.rim_of),
-        **made.figures._asdict(),
-        "plan_time_s": made.plan_time_s,
-        "timing_time_s": made.timing_time_s,
-        "duration_s": made.approach.duration_s,
-        "peak_speed_m_s": made.peaks.speed_m_s,
-        "peak_acceleration_m_s2": made.peaks.acceleration_m_s2,
-        "min_separation_m": made.separation.distance_m,
-        "min_separation_pair": [system_ids[first], system_ids[second]],
-    }
+    return PlannedMission(
+        mission, task, made, {"mission": str(mission.path), **plan_figures(mission.swarm.ids(), made)}
+    )

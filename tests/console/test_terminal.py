@@ -25,7 +25,7 @@ from fg_gcs.console.terminal import (
 )
 from fg_gcs.flight.snapshot import (
     CounterSnapshot,
-    LoggedEvent,
+    RunEvent,
     Snapshot,
     TrackingSnapshot,
     VehicleSnapshot,
@@ -234,14 +234,14 @@ def test_what_needs_eyes_is_shown_however_many_there_are(count: int, most: int) 
 def test_events_wrap_between_words_in_a_terminal_and_stay_whole_elsewhere() -> None:
     text = "COM_OBL_RC_ACT = 0, set to 4 for this flight on vehicles 1-9 (setpoints stop: land; the default sinks)"
     screen = Screen(60, 20)
-    Terminal("", screen.console, live=False).event(LoggedEvent(2.5, "failsafe", text))
+    Terminal("", screen.console, live=False).event(RunEvent(2.5, "failsafe", text))
     lines = [line.rstrip() for line in MARKS.sub("", screen.file.getvalue()).splitlines()]
     assert [line[:11] for line in lines] == ["   2.50 s  ", " " * 11, " " * 11]
     assert " ".join(line[11:] for line in lines) == text
     piped = io.StringIO()
-    Terminal("", Console(file=piped), live=False).event(LoggedEvent(2.5, "failsafe", text))
+    Terminal("", Console(file=piped), live=False).event(RunEvent(2.5, "failsafe", text))
     assert piped.getvalue() == f"   2.50 s  {text}\n"
-    Terminal("", Console(file=piped), live=False).event(LoggedEvent(2.5, "phase", "for developers"))
+    Terminal("", Console(file=piped), live=False).event(RunEvent(2.5, "phase", "for developers"))
     assert "developers" not in piped.getvalue()
 
 
@@ -249,7 +249,7 @@ def test_whatever_a_live_terminal_gets_is_one_frame() -> None:
     screen = Screen(80, 24)
     with Terminal("", screen.console, live=True) as terminal:
         for k in range(3):
-            terminal.event(LoggedEvent(float(k), "stage", "gather"))
+            terminal.event(RunEvent(float(k), "stage", "gather"))
     frames = screen.file.getvalue().split(BEGIN_FRAME)
     assert len(frames) == 1 + 3 + 1
     assert all(frame.endswith(END_FRAME) for frame in frames[1:])

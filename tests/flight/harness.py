@@ -15,6 +15,7 @@ from scipy.spatial.distance import pdist
 from fg_gcs.flight.director import Director, FlightResult
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.mission import Mission, load_mission
+from fg_gcs.record.read.run import RecordedRun, load_run
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.run.flying import FlyOptions
 from fg_gcs.run.flying import fly as run_mission
@@ -82,6 +83,12 @@ class Flight:
         async for _ in ticks(asyncio.get_running_loop().time(), 0.02):
             if self.director.journal.stage == stage:
                 return
+
+    @property
+    def recorded(self) -> RecordedRun:
+        """Everything that was recorded so far."""
+        self.recorder.flush()
+        return load_run(self.recorder.folder)
 
     @property
     def events(self) -> str:

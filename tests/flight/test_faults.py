@@ -81,7 +81,7 @@ def test_one_vehicle_taken_over_is_left_alone_and_the_others_come_home(autopilot
         assert flight.director.fleet is not None
         other.command_mode(2, flight.director.fleet.vehicles[1].profile.modes["RTL"])
         await flight.reaches("land")
-        rows = flight.recorder.setpoints.columns()
+        rows = flight.recorded.setpoints
         late = rows["time_s"] > flight.director.journal.stages["approach"][1]
         frames.append(int((rows["system_id"][late] == 2).sum()))
 

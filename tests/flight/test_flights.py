@@ -39,7 +39,15 @@ def test_the_papers_flights(mission: str, autopilot: str, tmp_path: Path, capsys
     assert (flown["replans"], flown["sightings"], flown["sightings_rejected"], flown["found_again_s"]) == (0, 0, {}, [])
     assert all(flown[key] is None for key in (*KEYS, "replan_median_ms", "replan_p99_ms"))
     folder = Path(flown["log"])
-    files = {"flight.tlog", "events.jsonl", "telemetry.npz", "setpoints.npz", "mission.toml", "report.html"}
+    files = {
+        "flight.tlog",
+        "events.jsonl",
+        "telemetry.npy",
+        "setpoints.npy",
+        "mission.toml",
+        "parameters.json",
+        "report.html",
+    }
     assert files <= {path.name for path in folder.iterdir()}
 
 
@@ -118,9 +126,9 @@ def test_same_seed_and_mission_give_the_same_tables_byte_for_byte(tmp_path: Path
     for name in ("one", "two"):
         assert main(["fly", str(mission), "--speed", "max", "--logs", str(tmp_path / name)]) == 0
     one, two = (next((tmp_path / name).iterdir()) for name in ("one", "two"))
-    for table in ("telemetry.npz", "setpoints.npz", "ticks.npz", "flight.tlog"):
+    for table in ("telemetry.npy", "setpoints.npy", "ticks.npy", "flight.tlog"):
         assert (one / table).read_bytes() == (two / table).read_bytes(), table
-    assert len((one / "telemetry.npz").read_bytes()) > 10_000
+    assert len((one / "telemetry.npy").read_bytes()) > 10_000
 
 
 def test_a_flight_in_wind_still_comes_home(tmp_path: Path) -> None:

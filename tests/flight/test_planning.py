@@ -50,7 +50,7 @@ def latest_s(folder: Path, script: Script) -> float:
     flight = fly(folder, "px4", script, loop=BusyLoop)
     assert flight.result is not None
     assert flight.result.completed, flight.result.reason
-    ticks = flight.recorder.ticks.columns()
+    ticks = flight.recorded.ticks
     begin_s, end_s = flight.result.stages["hold"]
     return float(ticks["late_s"][(ticks["time_s"] >= begin_s) & (ticks["time_s"] <= end_s)].max())
 

@@ -14,7 +14,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import ticks
-from fg_gcs.record.write.table import load
+from fg_gcs.record.read.run import load_run
 from fg_gcs.scenario.motions import Circle
 from sitl_mock.host.server import Simulator, SimulatorOptions
 from sitl_mock.host.targets import parse_target
@@ -110,7 +110,7 @@ def test_the_same_flight_gives_the_same_tables_byte_for_byte(tmp_path: Path) -> 
         assert flown(tmp_path / name, noisy)["completed"] is True
         (folder,) = (tmp_path / name / "logs").iterdir()
         folders.append(folder)
-    tables = [f"{name}.npz" for name in ("telemetry", "setpoints", "ticks", "sightings", "replans", "truth")]
+    tables = [f"{name}.npy" for name in ("telemetry", "setpoints", "ticks", "sightings", "replans", "truth")]
     for table in (*tables, "flight.tlog"):
         one, two = ((folder / table).read_bytes() for folder in folders)
         assert one == two, table
@@ -175,7 +175,7 @@ def test_a_target_that_is_never_seen_leaves_everybody_where_they_gathered(tmp_pa
     flight = fly(tmp_path, "px4", mission=mission_of(tmp_path, moving(LEAD + UDP, "[track]\ngive_up_s = 5.0\n")))
     assert flight.result is not None
     assert flight.result.reason == "no sightings for 5 s"
-    rows = flight.recorder.setpoints.columns()
+    rows = flight.recorded.setpoints
     begin_s, end_s = flight.result.stages["approach"]
     inside = (rows["time_s"] > begin_s) & (rows["time_s"] < end_s)
     assert np.ptp(rows["position_enu_m"][inside & (rows["system_id"] == 1)], axis=0) == pytest.approx(np.zeros(3))
@@ -315,13 +315,14 @@ def test_vehicles_that_are_lost_while_tracking_end_it(tmp_path: Path) -> None:
     assert flight.result is not None
     assert not flight.result.completed
     assert [vehicle.label for vehicle in flight.result.lost] == [1, 2, 3, 4]
-    assert len(flight.recorder.truth.columns()["time_s"]) > 100
+    assert len(flight.recorded.truth["time_s"]) > 100
 
 
 def test_the_noses_follow_the_target_without_jumps(tmp_path: Path) -> None:
     summary = flown(tmp_path, CIRCLING)
     run = Path(str(summary["log"]))
-    setpoints, truth = load(run / "setpoints.npz"), load(run / "truth.npz")
+    recorded = load_run(run)
+    setpoints, truth = recorded.setpoints, recorded.truth
     stages = summary["stages"]
     assert isinstance(stages, dict)
     begin_s, end_s = stages["approach"][0], stages["hold"][1]

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import Mission, load_mission
-from fg_gcs.mission.target_tables import UdpSource, VehicleSource
+from fg_gcs.mission.formats.toml import parse_mission, read_positions
+from fg_gcs.mission.position_files import PositionFile
+from fg_gcs.mission.target_tables import CsvSource, UdpSource, VehicleSource
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 GOOD = (MISSIONS / "circle.toml").read_text()
@@ -235,3 +237,39 @@ def test_any_line_replaced_by_anything_is_good_or_one_clear_line(
     except MissionError as error:
         said = str(error)
     assert said == "good" or ("\n" not in said and said.startswith(str(path)))
+
+
+def test_a_mission_reads_no_files_itself() -> None:
+    asked: list[str] = []
+
+    def files(path: str) -> PositionFile:
+        asked.append(path)
+        return PositionFile(path, rows.encode())
+
+    moving = motion("file", 'path = "seen.csv"').replace("lead", "other")
+    rows = ROWS + "90.0,other,0,1,18\n"
+    text = GOOD.replace(TARGET, NAMED + CSV + moving)
+    mission = parse_mission(text, Path("m.toml"), files)
+    assert asked == ["seen.csv"]  # once, though two tables name it
+    assert mission.files() == {"seen.csv": rows.encode()}
+    assert parse_mission((MISSIONS / "circle.toml").read_text(), files=files).files() == {}
+
+
+def test_a_file_of_positions_is_taken_apart_once(tmp_path: Path) -> None:
+    (tmp_path / "seen.csv").write_text(ROWS)
+    file = read_positions(tmp_path / "seen.csv")
+    (tmp_path / "seen.csv").unlink()  # what was read is enough
+    assert file.rows("lead", 0.5)[0] is file.rows("lead", 0.5)[0]
+    assert file.rows("lead", 0.5)[0].covariance_m2[0, 0] == 0.25
+    assert file.rows("lead", 2.0)[0].covariance_m2[0, 0] == 4.0
+    with pytest.raises(MissionError, match=r"seen\.csv: no line of target 'nobody'; accepted: one or more"):
+        file.rows("nobody", 0.5)
+    with pytest.raises(MissionError, match=r"gone: cannot be read: No such file or directory"):
+        read_positions(tmp_path / "seen.csv", "gone").rows("lead", 0.5)
+    with pytest.raises(MissionError, match="cannot be read: embedded null byte"):
+        read_positions(tmp_path / "a\0b").rows("lead", 0.5)
+
+
+def test_a_table_that_nobody_loaded_says_so() -> None:
+    with pytest.raises(MissionError, match=r"seen\.csv: has not been read"):
+        CsvSource(kind="csv", path="seen.csv").file.rows("lead", 0.5)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.record.write.layouts import NETWORK, SETPOINTS, TELEMETRY, TICKS, Columns
 from fg_gcs.record.write.recorder import Recorder
-from fg_gcs.record.write.table import SETPOINTS, TELEMETRY, TICKS, Columns, Table
+
+Row = Sequence[float | str]
 
 STAGES = {
     "connect": (0.0, 0.5),
@@ -107,33 +109,36 @@ class Circle:
         velocity = (np.zeros_like(time_s), -speed * np.sin(angle), speed * np.cos(angle))
         return np.stack(position, axis=1), np.stack(velocity, axis=1)
 
-    def telemetry(self, time_s: Array, boot_time_s: Array | None = None) -> Table:
-        table = Table(TELEMETRY)
+    def telemetry(self, time_s: Array, boot_time_s: Array | None = None) -> list[Row]:
+        rows: list[Row] = []
         boot = time_s + 3.0 if boot_time_s is None else boot_time_s
         for vehicle in range(self.vehicles):
             position, velocity = self.at(vehicle, time_s)
             for k, now_s in enumerate(time_s.tolist()):
                 place = position[k].tolist()
-                table.append((now_s, vehicle + 1, *place, *velocity[k].tolist(), 0.0, boot[k], place[2]))
-        return table
+                row = (now_s, NETWORK, vehicle + 1, *place, *velocity[k].tolist(), 0.0, float(boot[k]), place[2])
+                rows.append(row)
+        return rows
 
-    def setpoints(self, time_s: Array, offset_m: float) -> Table:
+    def setpoints(self, time_s: Array, offset_m: float) -> list[Row]:
         """Setpoints that lie ``offset_m`` east of where the vehicles are."""
-        table = Table(SETPOINTS)
+        rows: list[Row] = []
         for vehicle in range(self.vehicles):
             position, velocity = self.at(vehicle, time_s)
             for k, now_s in enumerate(time_s.tolist()):
                 east, north, up = position[k].tolist()
-                table.append((now_s, vehicle + 1, east + offset_m, north, up, *velocity[k].tolist(), 0, 0, 0, 0))
-        return table
+                place = east + offset_m, north, up
+                rows.append((now_s, NETWORK, vehicle + 1, *place, *velocity[k].tolist(), 0, 0, 0, 0))
+        return rows
 
 
 def instants(rate_hz: float = 50.0) -> Array:
     return np.arange(0.5, 16.0, 1.0 / rate_hz)
 
 
-def empty(columns: Mapping[str, int]) -> Columns:
-    return Table(columns).columns()
+def told(system_id: int, time_s: float, *cells: float) -> Row:
+    """A row of the setpoint table; what is not given is 0."""
+    return (time_s, NETWORK, system_id, *cells, *[0.0] * (10 - len(cells)))
 
 
 def write_run(
@@ -156,8 +161,10 @@ def write_run(
         recorder.event(109.2, "phase", "vehicle 1: a phase for developers", phase="FLYING")
         if flown:
             circle = Circle()
-            recorder.telemetry = circle.telemetry(instants(20.0))
-            recorder.setpoints = circle.setpoints(instants(20.0), 0.25)
+            for row in circle.telemetry(instants(20.0)):
+                recorder.telemetry.append(row)
+            for row in circle.setpoints(instants(20.0), 0.25):
+                recorder.setpoints.append(row)
             for now_s in instants(40.0).tolist():
                 recorder.ticks.append((now_s, 0.001))
         recorder.finish({**SUMMARY, **(changes or {})})
@@ -167,7 +174,6 @@ def write_run(
 def columns_of(circle: Circle, rate_hz: float = 50.0, offset_m: float = 0.25) -> tuple[Columns, Columns, Columns]:
     """Telemetry, setpoints and ticks of a circle."""
     time_s = instants(rate_hz)
-    ticks = Table(TICKS)
-    for k, now_s in enumerate(time_s.tolist()):
-        ticks.append((now_s, 0.001 * (k % 10)))
-    return circle.telemetry(time_s).columns(), circle.setpoints(time_s, offset_m).columns(), ticks.columns()
+    ticks = [(now_s, 0.001 * (k % 10)) for k, now_s in enumerate(time_s.tolist())]
+    telemetry, setpoints = circle.telemetry(time_s), circle.setpoints(time_s, offset_m)
+    return TELEMETRY.table(telemetry), SETPOINTS.table(setpoints), TICKS.table(ticks)

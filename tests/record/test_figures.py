@@ -5,8 +5,8 @@ import pytest
 
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.record.evaluate.figures import Whereabouts, figures, flown
-from fg_gcs.record.write.table import SETPOINTS, TELEMETRY, TICKS, Columns, Table
-from tests.record.flights import STAGES, TARGET, Circle, columns_of, empty, instants
+from fg_gcs.record.write.layouts import NETWORK, SETPOINTS, TELEMETRY, TICKS, Columns
+from tests.record.flights import STAGES, TARGET, Circle, columns_of, instants, told
 
 LEADERS = (1, 2, 3, 4)
 STANDING = Whereabouts.standing(np.array(TARGET))
@@ -52,8 +52,8 @@ def test_accelerations_survive_clocks_that_cut_off_their_milliseconds(seed: int)
     circle = Circle(rate_rad_s=1.0)
     time_s = np.cumsum(random.uniform(0.005, 0.03, size=600)) + 0.5
     boot_s = np.floor((time_s + 12.3456) * 1e3) / 1e3
-    telemetry = circle.telemetry(time_s, boot_s).columns()
-    series = flown(telemetry, empty(SETPOINTS), STAGES, LEADERS, STANDING)
+    telemetry = TELEMETRY.table(circle.telemetry(time_s, boot_s))
+    series = flown(telemetry, SETPOINTS.table([]), STAGES, LEADERS, STANDING)
     assert series is not None
     for acceleration in series.acceleration_m_s2:
         known = acceleration[np.isfinite(acceleration)]
@@ -62,12 +62,12 @@ def test_accelerations_survive_clocks_that_cut_off_their_milliseconds(seed: int)
 
 
 def test_two_vehicles_that_pass_between_two_samples() -> None:
-    telemetry = Table(TELEMETRY)
+    telemetry = []
     for now_s in np.arange(-0.75, 1.0, 0.5).tolist():  # never sampled where they pass, at 0
         for system_id, side in ((1, 1.0), (2, -1.0)):
             place = (side * 4.0 * now_s, side * 0.6, 10.0)
-            telemetry.append((now_s, system_id, *place, side * 4.0, 0.0, 0.0, 0.0, now_s, 10.0))
-    found = measured(telemetry.columns(), empty(SETPOINTS), empty(TICKS), leaders=())
+            telemetry.append((now_s, NETWORK, system_id, *place, side * 4.0, 0.0, 0.0, 0.0, now_s, 10.0))
+    found = measured(TELEMETRY.table(telemetry), SETPOINTS.table([]), TICKS.table([]), leaders=())
     assert found["flown_min_separation_m"] == pytest.approx(1.2)
     assert found["flown_flux_metric"] is None or np.isnan(found["flown_flux_metric"])
 
@@ -109,24 +109,20 @@ def test_the_metric_is_that_of_the_leaders_in_their_order() -> None:
 
 
 def test_the_slowest_vehicle_counts_for_the_rate() -> None:
-    setpoints = Table(SETPOINTS)
-    for k in range(101):
-        for system_id in (1, 2, 3)[: 3 if k % 4 == 0 else 2]:
-            setpoints.append((k * 0.02, system_id, *[0.0] * 10))
-    assert measured(empty(TELEMETRY), setpoints.columns(), empty(TICKS))["setpoint_rate_hz"] == pytest.approx(12.5)
+    served = [(k, system_id) for k in range(101) for system_id in (1, 2, 3)[: 3 if k % 4 == 0 else 2]]
+    setpoints = SETPOINTS.table(told(system_id, k * 0.02) for k, system_id in served)
+    assert measured(TELEMETRY.table([]), setpoints, TICKS.table([]))["setpoint_rate_hz"] == pytest.approx(12.5)
 
 
 def test_nothing_to_measure() -> None:
-    found = measured(empty(TELEMETRY), empty(SETPOINTS), empty(TICKS), leaders=())
+    found = measured(TELEMETRY.table([]), SETPOINTS.table([]), TICKS.table([]), leaders=())
     assert found == dict.fromkeys(NAMES)
 
 
 def test_vehicles_that_share_no_time_make_no_series() -> None:
-    telemetry = Table(TELEMETRY)
-    for system_id, times in ((1, (0.0, 1.0)), (2, (2.0, 3.0))):
-        for now_s in times:
-            telemetry.append((now_s, system_id, *[0.0] * 9))
-    assert flown(telemetry.columns(), empty(SETPOINTS), STAGES, LEADERS, STANDING) is None
+    heard = ((1, 0.0), (1, 1.0), (2, 2.0), (2, 3.0))
+    telemetry = TELEMETRY.table((now_s, NETWORK, system_id, *[0.0] * 9) for system_id, now_s in heard)
+    assert flown(telemetry, SETPOINTS.table([]), STAGES, LEADERS, STANDING) is None
 
 
 def test_a_vehicle_lost_on_the_way_ends_the_common_series_but_not_the_others_own() -> None:

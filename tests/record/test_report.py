@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from fg_gcs.record.read.run import load_run
+from fg_gcs.record.evaluate.evaluation import evaluated
 from fg_gcs.record.report.charts import acceleration_chart, lateness_chart, speed_chart, thinned
 from fg_gcs.record.report.report import write_report
 from fg_gcs.record.report.scene import along, scene
+from fg_gcs.record.write.layouts import SETPOINTS, TELEMETRY, TICKS
 from fg_gcs.record.write.recorder import EVENTS, MISSION, SUMMARY
-from fg_gcs.record.write.table import SETPOINTS, TELEMETRY, TICKS, Table, load
 from tests.record.flights import SUMMARY as FIGURES
 from tests.record.flights import write_run
 
@@ -69,7 +69,7 @@ class Page(HTMLParser):
 
 
 def report(tmp_path: Path, changes: Mapping[str, object] | None = None) -> Page:
-    return Page(write_report(write_run(tmp_path / NAME, changes=changes)))
+    return Page(write_report(write_run(tmp_path / NAME, changes=changes)).path)
 
 
 def test_the_report_tells_what_was_asked_and_what_was_flown(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def test_faults_are_red_and_what_many_vehicles_say_at_once_is_one_row(tmp_path: 
     lines += [{"time_s": 9.0, "kind": "text", "text": "vehicle 1: Motor failure", "severity": 2}]
     lines += [{"time_s": 9.5, "kind": "warning", "text": "not put back"}]
     (folder / EVENTS).write_text("\n".join(json.dumps(line) for line in lines))
-    page = Page(write_report(folder))
+    page = Page(write_report(folder).path)
     told = [(row[2], style) for row, style in zip(page.rows, page.styles, strict=True) if len(row) == 3]
     assert told == [
         ("what", ""),
@@ -149,12 +149,12 @@ def test_faults_are_red_and_what_many_vehicles_say_at_once_is_one_row(tmp_path: 
 
 
 def test_hostile_text_stays_text(tmp_path: Path) -> None:
-    plain = Page(write_report(write_run(tmp_path / "plain", "harmless", ("harmless",))))
+    plain = Page(write_report(write_run(tmp_path / "plain", "harmless", ("harmless",))).path)
     hostile_run = write_run(tmp_path / f"{NAME}<b>", HOSTILE, (HOSTILE.replace('\\"', '"'),))
     summary = json.loads((hostile_run / SUMMARY).read_text())
     summary |= {"completed": False, "reason": HOSTILE, "mission": HOSTILE}
     (hostile_run / SUMMARY).write_text(json.dumps(summary))
-    hostile = Page(write_report(hostile_run))
+    hostile = Page(write_report(hostile_run).path)
     assert hostile.tags == plain.tags
     assert {key for key, _ in hostile.attributes} == {key for key, _ in plain.attributes}
     assert hostile.text.count("<script>alert(1)</script>") == 2 + 2  # description, reason, fault, text
@@ -176,31 +176,29 @@ def test_the_report_needs_no_network(tmp_path: Path) -> None:
 
 def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
     folder = write_run(tmp_path / NAME)
-    first = write_report(folder).read_bytes()
-    assert write_report(folder).read_bytes() == first
+    first = write_report(folder).path.read_bytes()
+    assert write_report(folder).path.read_bytes() == first
 
 
 def test_empty_tables_and_an_empty_summary_make_a_report(tmp_path: Path) -> None:
     folder = write_run(tmp_path / NAME, flown=False)
-    assert Page(write_report(folder)).charts() == set()
+    assert Page(write_report(folder).path).charts() == set()
     (folder / SUMMARY).write_text("{}")
     (folder / EVENTS).write_text("")
     (folder / MISSION).write_text("nothing")
-    page = Page(write_report(folder))
+    page = Page(write_report(folder).path)
     assert "Aborted: no reason was written down" in page.text
-    assert "nobody took off" in page.text
+    assert "no vehicle took off" in page.text
     assert "too few positions" in page.text
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 11])
 def test_a_few_samples_make_a_report(tmp_path: Path, samples: int) -> None:
     folder = write_run(tmp_path / NAME)
-    for name, widths in (("telemetry", TELEMETRY), ("setpoints", SETPOINTS), ("ticks", TICKS)):
-        table, columns = Table(widths), load(folder / f"{name}.npz")
-        for k in range(samples):
-            table.append(np.concatenate([np.atleast_1d(column[k]) for column in columns.values()]).tolist())
-        table.save(folder / f"{name}.npz")
-    assert "paths" in Page(write_report(folder)).charts()
+    for layout in (TELEMETRY, SETPOINTS, TICKS):
+        path = folder / layout.file_name
+        np.save(path, np.load(path)[:samples])
+    assert "paths" in Page(write_report(folder).path).charts()
 
 
 @pytest.mark.parametrize("stage", ["gather", "approach", "hold", "home", "land"])
@@ -212,21 +210,21 @@ def test_a_flight_cut_short_makes_a_report(tmp_path: Path, stage: str) -> None:
     (folder / SUMMARY).write_text(json.dumps(summary))
     lines = (folder / EVENTS).read_text().splitlines()
     (folder / EVENTS).write_text("\n".join(line for line in lines if json.loads(line)["time_s"] < begin_s))
-    page = Page(write_report(folder))
+    page = Page(write_report(folder).path)
     assert page.charts() >= CHARTS - {"tracking"}
     assert f"Stage: {stage}" not in [row[0] for row in page.rows]
 
 
 def test_unknown_positions_and_lost_vehicles_make_a_report(tmp_path: Path) -> None:
     folder = write_run(tmp_path / NAME, changes={"lost_vehicles": [2]})
-    columns = load(folder / "telemetry.npz")
+    path = folder / TELEMETRY.file_name
+    columns = np.load(path)
     for name in ("position_enu_m", "velocity_enu_m_s", "height_m"):
         columns[name][::7] = np.nan
     columns["position_enu_m"][columns["system_id"] == 4] = np.nan
     kept = (columns["system_id"] != 2) | (columns["time_s"] < 6.0)
-    cut = {name: column[kept] for name, column in columns.items()}
-    np.savez_compressed(folder / "telemetry.npz", allow_pickle=False, **cut)
-    assert {"paths", "speed", "lateness"} <= Page(write_report(folder)).charts()
+    np.save(path, columns[kept])
+    assert {"paths", "speed", "lateness"} <= Page(write_report(folder).path).charts()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -260,7 +258,7 @@ def test_paths_are_thinned_evenly_along_their_way(seed: int) -> None:
 
 
 def test_charts_show_limits_stages_and_the_flown_peaks(tmp_path: Path) -> None:
-    run = load_run(write_run(tmp_path / NAME))
+    run = evaluated(write_run(tmp_path / NAME))
     assert run.series is not None
     for chart, limit, flown in (
         (speed_chart(run), 10.0, run.series.speed_m_s),
@@ -281,7 +279,7 @@ def test_charts_show_limits_stages_and_the_flown_peaks(tmp_path: Path) -> None:
 
 
 def test_the_scene_has_paths_plans_faces_pads_and_target(tmp_path: Path) -> None:
-    figure = scene(load_run(write_run(tmp_path / NAME)))
+    figure = scene(evaluated(write_run(tmp_path / NAME)))
     assert figure is not None
     listed = [trace.name for trace in figure.data if trace.showlegend is not False and trace.name]
     leaders = [f"leader {i}" for i in (1, 2, 3, 4)]

@@ -14,13 +14,12 @@ from fg_gcs.errors import LinkError, PlanError
 from fg_gcs.flight.director import Director
 from fg_gcs.flight.snapshot import from_json
 from fg_gcs.link.clock import VirtualTimeLoop
-from fg_gcs.record.write.table import load
 from fg_gcs.run import (
     FlyOptions,
-    LoggedEvent,
     MissionError,
     Observer,
     Outcome,
+    RunEvent,
     RunResult,
     Snapshot,
     fly_blocking,
@@ -43,14 +42,14 @@ class Watcher(Observer):
 
     def __init__(self, stage: str = "", act: object = None) -> None:
         self.snapshots: list[Snapshot] = []
-        self.events: list[LoggedEvent] = []
+        self.events: list[RunEvent] = []
         self.director: Director | None = None
         self._stage, self._act = stage, act
 
     def started(self, director: Director) -> None:
         self.director = director
 
-    def event(self, event: LoggedEvent) -> None:
+    def event(self, event: RunEvent) -> None:
         self.events.append(event)
         if event.kind == "stage" and event.text == self._stage and callable(self._act):
             self._act(self)
@@ -62,7 +61,7 @@ class Watcher(Observer):
 class Clumsy(Observer):
     """Fails at whatever it hears."""
 
-    def event(self, event: LoggedEvent) -> None:
+    def event(self, event: RunEvent) -> None:
         raise RuntimeError("clumsy")
 
     def snapshot(self, snapshot: Snapshot) -> None:
@@ -88,7 +87,7 @@ def test_a_flight_says_nothing_and_leaves_everything(tmp_path: Path, capfd: pyte
     assert json.loads((result.folder / "summary.json").read_text()) == result.summary
     assert result.report is not None
     first = result.report.read_bytes()
-    assert report(result.folder) == result.report
+    assert report(result.folder) == (result.report, ())
     assert result.report.read_bytes() == first
 
 
@@ -131,9 +130,8 @@ def test_snapshots_tell_the_flight_in_order_and_survive_the_wire(tmp_path: Path)
 def test_watching_changes_nothing(tmp_path: Path) -> None:
     alone = flown(tmp_path / "alone", text=CIRCLING)
     watched = flown(tmp_path / "watched", Watcher(), Clumsy(), text=CIRCLING)
-    for name in ("telemetry", "setpoints"):
-        one, other = load(alone.folder / f"{name}.npz"), load(watched.folder / f"{name}.npz")
-        assert all(np.array_equal(one[column], other[column], equal_nan=True) for column in one)
+    for name in ("telemetry.npy", "setpoints.npy", "flight.tlog"):
+        assert (alone.folder / name).read_bytes() == (watched.folder / name).read_bytes()
 
 
 def test_an_observer_that_fails_is_told_of_once_and_hears_no_more(tmp_path: Path) -> None:
@@ -200,7 +198,7 @@ def test_no_plan_and_no_answer_are_outcomes_with_a_record(tmp_path: Path) -> Non
     assert isinstance(unheard.error, LinkError)
     for result in (unplanned, unheard):
         assert json.loads((result.folder / "summary.json").read_text())["reason"] == result.reason
-        assert report(result.folder).exists()
+        assert report(result.folder).path.exists()
 
 
 def test_what_is_wrong_before_anything_began_is_raised(tmp_path: Path) -> None:

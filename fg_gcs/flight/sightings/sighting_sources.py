@@ -102,6 +102,10 @@ class SightingSources:
         known = [each for each in found if each is not None]
         return np.stack(known, axis=1) if len(known) == len(found) else None
 
+    def known_until_s(self) -> float:
+        """Return the loop's time up to which true places will not be known any better; infinite for made-up targets."""
+        return min(feed.known_until_s() for feed in self._every())
+
     def close(self) -> None:
         """Hand on no more and close all ports; may be called twice."""
         for source in self._every():

@@ -44,6 +44,9 @@ class SightingSource(Protocol):
     def truth(self, target: str, time_s: Array) -> Array | None:
         """Return where one of its targets truly was at loop times, (T,) [s] to (T, 3) [m; ENU], if that is known."""
 
+    def known_until_s(self) -> float:
+        """Return the loop's time up to which :meth:`truth` says nothing else any more [s]."""
+
     def close(self) -> None:
         """Let no more come; may be called twice."""
 
@@ -75,6 +78,10 @@ class TimedSource:
     def truth(self, target: str, time_s: Array) -> Array | None:
         """Return where the made-up target was, (T,) [s] to (T, 3) [m; ENU]; None for a recording."""
         return None if self._motion is None else self._motion.at(np.asarray(time_s) - self._began_s)[0]
+
+    def known_until_s(self) -> float:
+        """Return infinity: a made-up way is known from the start."""
+        return math.inf
 
     def close(self) -> None:
         """Stop the clock."""
@@ -125,6 +132,10 @@ class DatagramSource:
     def truth(self, target: str, time_s: Array) -> Array | None:
         """Return nothing: only the world knows."""
         return None
+
+    def known_until_s(self) -> float:
+        """Return infinity: nothing will ever be known."""
+        return math.inf
 
     def close(self) -> None:
         """Close the port."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from bisect import bisect_left, bisect_right
 
 import numpy as np
@@ -17,7 +18,7 @@ from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 from fg_gcs.wire.codec import Codec, Message, is_known
 
 MOST_PEERS = 32  # senders kept; a flood of made-up ones must not fill the memory
-MOST_REPORTS = 100_000  # kept of a simulated vehicle: at 100 Hz a quarter of an hour
+MOST_REPORTS = 2000  # kept of a simulated vehicle: at 100 Hz 10 s, and the truth is written down far sooner
 CARRIED_S = 1.0  # how far the last two reports say where a simulated vehicle goes on to
 MOST_ALTITUDE_M = 1e5  # nothing that flies on air is higher
 
@@ -72,6 +73,10 @@ class VehicleReportSource:
         """Return where a simulated vehicle was by its own reports, (T,) [s] to (T, 3) [m; ENU]; NaN where unknown."""
         reports = self._reports.get(target)
         return None if reports is None else reports.at(np.asarray(time_s, dtype=float))
+
+    def known_until_s(self) -> float:
+        """Return when the simulated vehicle that is heard least had its last report [s]."""
+        return min((reports.known_until_s for reports in self._reports.values()), default=math.inf)
 
     def close(self) -> None:
         """Close the port; what a sensor still has under way is lost."""
@@ -132,6 +137,11 @@ class _Reports:
         self._positions.append(position_enu_m)
         if len(self._times_s) > MOST_REPORTS:
             del self._times_s[: MOST_REPORTS // 2], self._positions[: MOST_REPORTS // 2]
+
+    @property
+    def known_until_s(self) -> float:
+        """Time of the last report [s]; minus infinity while there are no two."""
+        return self._times_s[-1] if len(self._times_s) > 1 else -math.inf
 
     def at(self, time_s: Array) -> Array:
         """Interpolate between reports, (T,) [s] to (T, 3) [m; ENU], and a little beyond the last; NaN elsewhere."""

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission.model import Mission
-from fg_gcs.mission.tables import FOLDER, MissionTable, Problem
+from fg_gcs.mission.position_files import FILES, PositionFile
+from fg_gcs.mission.tables import MissionTable, Problem
 from fg_gcs.mission.validation import problems_of
 
 MAX_BYTES = 1_000_000  # a mission is some 2 kB; a file hundreds of times larger is not one
+MAX_POSITION_BYTES = 20_000_000  # of a file of positions: 10 Hz for half a day
 
 
 def load_mission(path: Path) -> Mission:
-    """Read and check a mission file.
+    """Read and check a mission file, and the files that it names.
 
     Raises:
         MissionError: one line that names file, table and key and says what would be accepted.
@@ -35,12 +38,15 @@ def load_mission(path: Path) -> Mission:
     return parse_mission(text, path)
 
 
-def parse_mission(text: str, path: Path = Path("mission.toml")) -> Mission:
+def parse_mission(
+    text: str, path: Path = Path("mission.toml"), files: Callable[[str], PositionFile] | None = None
+) -> Mission:
     """Check the text of a mission file.
 
     Args:
         text: in TOML.
-        path: the file that it is from, or would be: files that it names lie beside it, its name is the run's.
+        path: the file that it is from, or would be: its name is the run's.
+        files: returns a file of positions by its path in the mission; without it, those beside ``path`` are read.
 
     Raises:
         MissionError: one line that names file, table and key and says what would be accepted.
@@ -49,9 +55,11 @@ def parse_mission(text: str, path: Path = Path("mission.toml")) -> Mission:
         tables = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise _no_toml(path, error) from error
+    read = files or (lambda named: read_positions(path.parent / named))
+    named = {name: read(name) for name in dict.fromkeys(_named_files(tables))}
     try:
         # By way of JSON, whose lists the strict model takes for points; TOML's dates become text and are refused there
-        mission = Mission.model_validate_json(json.dumps(tables, default=str), context={FOLDER: path.parent})
+        mission = Mission.model_validate_json(json.dumps(tables, default=str), context={FILES: named})
     except ValidationError as error:
         found = [_explained(details) for details in error.errors()]
         # One problem a key, the first: a key of several types is reported once for each of them
@@ -68,6 +76,32 @@ def parse_mission(text: str, path: Path = Path("mission.toml")) -> Mission:
 
 def _no_toml(path: Path, error: Exception) -> MissionError:
     return MissionError(f"{path}: not a TOML file: {' '.join(str(error).split())}")
+
+
+def read_positions(path: Path, name: str | None = None) -> PositionFile:
+    """Read a file of positions; what is wrong with it is told when its rows are asked for.
+
+    Args:
+        path: where it is.
+        name: that errors have (default: its path).
+    """
+    shown = str(path) if name is None else name
+    try:
+        if path.stat().st_size > MAX_POSITION_BYTES:
+            return PositionFile(shown, b"", f"larger than {MAX_POSITION_BYTES} bytes")
+        return PositionFile(shown, path.read_bytes())
+    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
+        return PositionFile(shown, b"", f"cannot be read: {getattr(error, 'strerror', None) or error}")
+
+
+def _named_files(tables: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the paths in a mission whose tables may still be anything at all."""
+    targets = tables.get("targets")
+    for target in targets if isinstance(targets, list) else ():
+        inner = [target.get(key) for key in ("motion", "source")] if isinstance(target, dict) else []
+        for table in inner:
+            if isinstance(table, dict) and table.get("kind") in ("file", "csv") and isinstance(table.get("path"), str):
+                yield table["path"]
 
 
 def _explained(details: ErrorDetails) -> Problem:

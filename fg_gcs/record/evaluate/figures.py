@@ -11,11 +11,22 @@ from numpy.typing import NDArray
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import coverage, flux_metric
 from fg_gcs.core.separation import closest_approach, smallest_over_time
-from fg_gcs.record.write.table import Columns
+from fg_gcs.record.write.layouts import Columns
 
 ACCELERATION_SPAN_S = 0.1  # velocity differences over less drown in the millisecond stamps of the vehicles' clocks
 AIRBORNE_M = 0.3  # below this height a vehicle touches down or lifts off: ground contact is no flown acceleration
 GRID_HZ = 50.0  # common instants for what concerns several vehicles at once
+MOST_SAMPLES = 50_000_000  # of all vehicles on them: 250 vehicles for an hour, in a gigabyte
+FLOWN_KEYS = (
+    "flown_flux_metric",
+    "flown_peak_speed_m_s",
+    "flown_peak_acceleration_m_s2",
+    "flown_min_separation_m",
+    "tracking_rms_m",
+    "tracking_max_m",
+    "setpoint_rate_hz",
+    "setpoint_late_p99_ms",
+)
 PLANNED_STAGES = ("gather", "approach", "hold", "home")
 
 
@@ -66,7 +77,7 @@ def flown(
     leaders: Sequence[int],
     target: Whereabouts,
 ) -> Flown | None:
-    """Return the series of a flight, or None when the vehicles share no time in the tables.
+    """Return the series of a flight, or None when the vehicles share no time in the tables, or far too much of it.
 
     Flux and coverage are NaN unless every leader was heard: a face without one of its corners is another face.
 
@@ -83,7 +94,7 @@ def flown(
         return None
     begin = max(track["time_s"][0] for track in tracks)
     end = min(track["time_s"][-1] for track in tracks)
-    if end <= begin:
+    if end <= begin or (end - begin) * GRID_HZ * len(tracks) > MOST_SAMPLES:
         return None
     time_s = np.arange(begin, end, 1.0 / GRID_HZ)
     position = np.stack([interpolated(time_s, t["time_s"], t["position_enu_m"]) for t in tracks], axis=1)
@@ -112,18 +123,7 @@ def figures(
     series: Flown | None, ticks: Columns, setpoints: Columns, stages: Mapping[str, tuple[float, float]]
 ) -> dict[str, float | None]:
     """Return a flight's figures by the names of the command line's JSON; None where there is nothing to measure."""
-    result: dict[str, float | None] = dict.fromkeys(
-        (
-            "flown_flux_metric",
-            "flown_peak_speed_m_s",
-            "flown_peak_acceleration_m_s2",
-            "flown_min_separation_m",
-            "tracking_rms_m",
-            "tracking_max_m",
-            "setpoint_rate_hz",
-            "setpoint_late_p99_ms",
-        )
-    )
+    result: dict[str, float | None] = dict.fromkeys(FLOWN_KEYS)
     if len(ticks["time_s"]):
         result["setpoint_late_p99_ms"] = float(np.percentile(ticks["late_s"], 99) * 1e3)
     result["setpoint_rate_hz"] = _slowest_rate(setpoints)
@@ -137,7 +137,9 @@ def figures(
     planned = np.isfinite(errors)
     if planned.any():  # take-off and landing are the autopilots' own business: no plan of ours has a limit for them
         result["flown_peak_speed_m_s"] = float(np.concatenate(series.speed_m_s)[planned].max())
-        result["flown_peak_acceleration_m_s2"] = float(np.nanmax(np.concatenate(series.acceleration_m_s2)[planned]))
+        accelerations = np.concatenate(series.acceleration_m_s2)[planned]
+        known = accelerations[np.isfinite(accelerations)]
+        result["flown_peak_acceleration_m_s2"] = float(known.max()) if len(known) else None
         result["tracking_rms_m"] = float(np.sqrt((errors[planned] ** 2).mean()))
         result["tracking_max_m"] = float(errors[planned].max())
     if len(series.system_ids) > 1:

@@ -11,10 +11,11 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import least_after_facing
 from fg_gcs.record.evaluate.figures import Flown, Whereabouts, interpolated
-from fg_gcs.record.write.table import Columns
+from fg_gcs.record.write.layouts import Columns
 from fg_gcs.track.sightings import Verdict
 
 SETTLED_S = 2.0  # after the capture, which is when the formation still moves in: errors count from here on
+TAKEN = Verdict.TAKEN.name.lower()  # as the tables have it
 HOLDING = 0.9  # a flux metric from here on counts as held
 RATE_HZ = 50.0  # instants at which errors are looked at, a second
 KEYS = (
@@ -47,10 +48,9 @@ class Followed:
 def true_centre(truth: Columns, weights: Sequence[float]) -> Whereabouts | None:
     """Return where the centre of all targets truly was; None where nobody knows."""
     count = len(weights)
-    if not len(truth["time_s"]):
-        return None
-    time_s = truth["time_s"][::count]
-    centre = np.average(truth["position_enu_m"].reshape(-1, count, 3), axis=1, weights=np.array(weights))
+    whole = len(truth["time_s"]) // count * count  # the end of the table may be cut off
+    time_s = truth["time_s"][:whole:count]
+    centre = np.average(truth["position_enu_m"][:whole].reshape(-1, count, 3), axis=1, weights=np.array(weights))
     known = np.isfinite(centre).all(axis=1)
     return Whereabouts(time_s[known], centre[known]) if known.any() else None
 
@@ -133,7 +133,7 @@ def commanded_error(
 
 def found_again(time_s: Array, error_m: Array, sightings: Columns, followed: Followed) -> list[float | None]:
     """Return for every loss how long after the first new sighting the error was below the capture's; None: never."""
-    believed = sightings["verdict"] == list(Verdict).index(Verdict.TAKEN)
+    believed = sightings["verdict"] == TAKEN
     taken, received = sightings["received_s"][believed], sightings["received_s"]
     found: list[float | None] = []
     for last in np.flatnonzero(np.diff(taken) > followed.lost_after_s):
@@ -152,7 +152,7 @@ def reaction_s(replans: Columns, setpoints: Columns) -> Array:
 def latency_s(replans: Columns, setpoints: Columns, sightings: Columns) -> Array:
     """Return the same from the sighting's stamp on, so with the sensor's own delay."""
     arrived, left = _reactions(replans, setpoints)
-    taken = sightings["verdict"] == list(Verdict).index(Verdict.TAKEN)
+    taken = sightings["verdict"] == TAKEN
     stamps, arrivals = sightings["time_s"][taken], sightings["received_s"][taken]
     which = np.searchsorted(arrivals, arrived)
     known = which < len(stamps)
@@ -162,7 +162,7 @@ def latency_s(replans: Columns, setpoints: Columns, sightings: Columns) -> Array
 
 def _reactions(replans: Columns, setpoints: Columns) -> tuple[Array, Array]:
     """Return when the sighting that led to each trajectory came, and when the trajectory's first setpoint left."""
-    waited = np.isfinite(replans["sighted_s"]) & (replans["taken"] > 0.0)
+    waited = np.isfinite(replans["sighted_s"]) & replans["taken"]
     sighted, planned = replans["sighted_s"][waited], replans["planned_s"][waited]
     after = np.searchsorted(setpoints["time_s"], planned, side="right")
     left = after < len(setpoints["time_s"])

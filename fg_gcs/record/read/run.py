@@ -3,26 +3,34 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.errors import MissionError
-from fg_gcs.mission import Mission, load_mission
-from fg_gcs.record.evaluate.figures import Flown, Whereabouts, flown
-from fg_gcs.record.evaluate.tracking import Followed, estimated_centre, true_centre
-from fg_gcs.record.write.recorder import EVENTS, MISSION, SUMMARY, TABLES
-from fg_gcs.record.write.table import REPLANS, SIGHTINGS, TRUTH, Columns, Table, load
+from fg_gcs.errors import FgError, MissionError
+from fg_gcs.mission import Mission
+from fg_gcs.mission.formats.toml import parse_mission, read_positions
+from fg_gcs.record.read.summary import RunSummary
+from fg_gcs.record.read.tables import MOST_S, read_table
+from fg_gcs.record.write.layouts import LAYOUTS, Columns
+from fg_gcs.record.write.recorder import EVENTS, INDEX, INPUTS, MISSION, SUMMARY
 
 IN_FLIGHT = ("take-off", "gather", "approach", "hold", "home", "land")
 STAMP_FORMAT, STAMP_LENGTH = "%Y-%m-%dT%H-%M-%S", 19  # how the name of a run's folder begins
-TRACKING = (("sightings", SIGHTINGS), ("replans", REPLANS), ("truth", TRUTH))
+OLD_TABLES = "telemetry.npz", "setpoints.npz"  # of versions that wrote tables at the end of a run
+
+
+class RunError(FgError):
+    """A folder is not that of a recorded run."""
+
+    def __init__(self, folder: Path, found: str) -> None:
+        """Say which folder, and what is there instead."""
+        super().__init__(f"{folder}: not the folder of a recorded run: {found}")
 
 
 class LoggedEvent(NamedTuple):
@@ -34,7 +42,7 @@ class LoggedEvent(NamedTuple):
     severity: int | None  # of a vehicle's own words: MAVLink's scale, 0 emergency to 7 debug
 
 
-class Band(NamedTuple):
+class StageBand(NamedTuple):
     """A stage of the flight as it came, even if it was cut short or flown twice."""
 
     stage: str
@@ -43,82 +51,76 @@ class Band(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Run:
+class RecordedRun:
     """What a run's folder holds; all times are seconds since the run's start."""
 
     name: str  # of the mission
     begun: datetime | None  # local time, None when the folder was renamed
-    mission: Mission | None  # None when the mission file is no longer understood
-    summary: dict[str, Any]
+    mission: Mission | None  # None when the mission file is not understood
+    summary: RunSummary
     events: tuple[LoggedEvent, ...]
-    telemetry: Columns
-    setpoints: Columns
-    ticks: Columns
-    sightings: Columns  # empty, like the next two, where nothing moved
-    replans: Columns
-    truth: Columns
+    tables: Mapping[str, Columns]  # by name, all of them; empty ones where nothing was recorded
+    remarks: tuple[str, ...]  # what is missing or damaged, a line each
+
+    @property
+    def telemetry(self) -> Columns:
+        """What the vehicles reported."""
+        return self.tables["telemetry"]
+
+    @property
+    def setpoints(self) -> Columns:
+        """What they were told."""
+        return self.tables["setpoints"]
+
+    @property
+    def ticks(self) -> Columns:
+        """When rounds of setpoints left."""
+        return self.tables["ticks"]
+
+    @property
+    def sightings(self) -> Columns:
+        """What was seen of moving targets."""
+        return self.tables["sightings"]
+
+    @property
+    def replans(self) -> Columns:
+        """Trajectories that were planned after moving targets."""
+        return self.tables["replans"]
+
+    @property
+    def truth(self) -> Columns:
+        """Where moving targets truly were."""
+        return self.tables["truth"]
+
+    @cached_property
+    def last_s(self) -> float:
+        """When the last thing was recorded [s]."""
+        times = [float(table["time_s"].max()) for table in self.tables.values() if len(table["time_s"])]
+        return max([0.0, *times, *(event.time_s for event in self.events)])
 
     @cached_property
     def stages(self) -> dict[str, tuple[float, float]]:
         """Begin and end of every stage [s]; of a stage that was flown twice, the second time."""
-        return {name: (span[0], span[1]) for name, span in self.summary.get("stages", {}).items()}
+        return self.summary.spans(self.last_s)
 
     @cached_property
     def leaders(self) -> tuple[int, ...]:
         """System ids of the leaders in their winding order, heard or not; empty when there was no plan."""
-        return tuple(int(system_id) for system_id in self.summary.get("leader_ids") or ())
+        return self.summary.ids("leader_ids")
 
     @cached_property
     def target_enu_m(self) -> Array | None:
         """The target, shape (3,) [m; ENU]."""
-        target = self.summary.get("target_enu_m")
-        return None if target is None else np.array(target, dtype=float)
+        return self.summary.point("target_enu_m")
 
     @cached_property
-    def followed(self) -> Followed | None:
-        """What was tracked; None where nothing moved, or the mission file is no longer understood."""
-        mission, stages = self.mission, self.stages
-        if mission is None or mission.targets is None or "approach" not in stages:
-            return None
-        began_s, ended_s = stages["approach"]
-        taken_s = self.number("capture_time_s")
-        task = mission.task()
-        return Followed(
-            began_s,
-            stages.get("hold", (0.0, ended_s))[1],
-            None if taken_s is None else began_s + taken_s,
-            tuple(target.weight for target in mission.targets),
-            task.formation.leaders_m,
-            task.hold_depth_m,
-            mission.track.capture_m,
-            mission.track.lost_after_s,
-        )
-
-    @cached_property
-    def true_target(self) -> Whereabouts | None:
-        """Where the centre of moving targets truly was, if that is known."""
-        return None if self.followed is None else true_centre(self.truth, self.followed.weights)
-
-    @cached_property
-    def estimated_target(self) -> Whereabouts | None:
-        """Where the centre of moving targets was believed to be."""
-        return None if self.followed is None else estimated_centre(self.replans)
-
-    @cached_property
-    def series(self) -> Flown | None:
-        """The flight's series, or None when there are too few samples for any."""
-        standing = np.full(3, np.nan) if self.target_enu_m is None else self.target_enu_m
-        target = self.true_target or self.estimated_target or Whereabouts.standing(standing)
-        return flown(self.telemetry, self.setpoints, self.stages, self.leaders, target)
-
-    @cached_property
-    def bands(self) -> tuple[Band, ...]:
+    def bands(self) -> tuple[StageBand, ...]:
         """The stages in the air, in the order in which they were flown."""
         marks = [event for event in self.events if event.kind in ("stage", "abort")]
         last_s = max((end for _, end in self.stages.values()), default=0.0)
         ends = [*(mark.time_s for mark in marks), last_s][1:]
         return tuple(
-            Band(mark.text, mark.time_s, max(mark.time_s, end_s))
+            StageBand(mark.text, mark.time_s, max(mark.time_s, end_s))
             for mark, end_s in zip(marks, ends, strict=True)
             if mark.kind == "stage" and mark.text in IN_FLIGHT
         )
@@ -131,57 +133,105 @@ class Run:
         times = self.telemetry["time_s"]
         return (float(times.min()), float(times.max())) if len(times) else (0.0, 1.0)
 
-    def number(self, key: str) -> float | None:
-        """Return a figure of the summary, or None when it was not measured."""
-        return _number(self.summary.get(key))
 
-    def limit(self, key: str) -> float | None:
-        """Return a limit that the flight was planned with, or None when there is none."""
-        return _number((self.summary.get("limits") or {}).get(key))
-
-
-def load_run(folder: Path) -> Run:
-    """Read a run's folder; what a crash or an abort left out is taken as empty.
+def load_run(folder: Path) -> RecordedRun:
+    """Read a run's folder; what is missing or damaged is taken as empty, and told in the remarks.
 
     Raises:
-        OSError: a file cannot be read.
-        ValueError: a file is not what its name says.
+        RunError: it is not the folder of a run at all, or that of a version that recorded in another form.
     """
-    summary = json.loads((folder / SUMMARY).read_text())
-    if not isinstance(summary, dict):
-        raise ValueError(f"{SUMMARY} is not an object")
+    files = (SUMMARY, EVENTS, MISSION, *(layout.file_name for layout in LAYOUTS))
     try:
-        mission = load_mission(folder / MISSION)
-    except MissionError:  # an older run, by the rules of its day
-        mission = None
+        there = {path.name for path in folder.iterdir()}
+    except OSError as error:
+        raise RunError(folder, error.strerror or str(error)) from error
+    if there.intersection(OLD_TABLES):
+        raise RunError(folder, f"an older version of fg-gcs recorded it ({OLD_TABLES[0]}); that version can report it")
+    if not there.intersection(files):
+        raise RunError(folder, f"none of {', '.join(files[:3])} is there")
+    summary = RunSummary.read(folder / SUMMARY)
+    mission, unread = _mission(folder)
+    events, cut = _events(folder / EVENTS)
+    tables = {layout.name: read_table(folder / layout.file_name, layout) for layout in LAYOUTS}
+    remarks = [*summary.remarks, unread, cut, *(table.remark for table in tables.values()), *_unrecorded(summary)]
+    stem = summary.text("run") or folder.name
+    begun = _begun(stem)
+    return RecordedRun(
+        (stem[STAMP_LENGTH + 1 :] if begun is not None else stem) or stem,
+        begun,
+        mission,
+        summary,
+        events,
+        {name: table.columns for name, table in tables.items()},
+        tuple(remark for remark in remarks if remark is not None),
+    )
+
+
+def _begun(stem: str) -> datetime | None:
     try:
-        begun = datetime.strptime(folder.name[:STAMP_LENGTH], STAMP_FORMAT)
+        return datetime.strptime(stem[:STAMP_LENGTH], STAMP_FORMAT)
     except ValueError:
-        begun = None
-    name = folder.name[STAMP_LENGTH + 1 :] if begun is not None else folder.name
-    tables = [load(folder / f"{table}.npz") for table in TABLES]
-    tracking = [_load_if_there(folder / f"{name}.npz", widths) for name, widths in TRACKING]
-    lines = (folder / EVENTS).read_text(errors="replace").splitlines()
-    return Run(name or folder.name, begun, mission, summary, _events(lines), *tables, *tracking)
+        return None
 
 
-def _events(lines: Sequence[str]) -> tuple[LoggedEvent, ...]:
-    """Return the events of all whole lines; a crash may have cut the last."""
-    events = []
-    for line in lines:
-        try:
-            fields = json.loads(line)
-            severity = fields.get("severity")
-            events.append(LoggedEvent(float(fields["time_s"]), str(fields["kind"]), str(fields["text"]), severity))
-        except (ValueError, KeyError, TypeError, AttributeError):
-            continue
-    return tuple(events)
+def _mission(folder: Path) -> tuple[Mission | None, str | None]:
+    """Read the mission as flown, the files that it names from the copies beside it."""
+    try:
+        names = json.loads((folder / INPUTS / INDEX).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        names = {}
+
+    def copy_of(path: str) -> Path:
+        name = names.get(path) if isinstance(names, dict) else None
+        return folder / INPUTS / Path(name if isinstance(name, str) else path).name
+
+    try:
+        text = (folder / MISSION).read_bytes().decode()
+        return parse_mission(text, Path(MISSION), lambda path: read_positions(copy_of(path), path)), None
+    except OSError as error:
+        return None, f"{MISSION}: cannot be read: {error.strerror or error}"
+    except UnicodeDecodeError as error:
+        return None, f"not understood: {MISSION}: not a TOML file: {error}"
+    except MissionError as error:  # damaged, or by the rules of another day
+        return None, f"not understood: {error}"
 
 
-def _load_if_there(path: Path, columns: Mapping[str, int]) -> Columns:
-    """Read a table that runs of older versions do not have."""
-    return load(path) if path.exists() else Table(columns).columns()
+def _events(path: Path) -> tuple[tuple[LoggedEvent, ...], str | None]:
+    """Read the events of all whole lines, and say how many others there are; a crash may have cut the last."""
+    try:
+        lines = path.read_bytes().decode("utf-8", "replace").split("\n")
+    except OSError as error:
+        return (), f"{path.name}: cannot be read: {error.strerror or error}"
+    found = [_event(line) for line in lines if line]
+    events = tuple(event for event in found if event is not None)
+    others = len(found) - len(events)
+    return events, f"{path.name}: {others} of {len(found)} lines are not events" if others else None
 
 
-def _number(value: object) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+def _event(line: str) -> LoggedEvent | None:
+    try:
+        fields = json.loads(line)
+        time_s, severity = float(fields["time_s"]), fields.get("severity")
+        event = LoggedEvent(time_s, str(fields["kind"]), str(fields["text"]), severity)
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+        return None
+    is_known = severity is None or (isinstance(severity, int) and not isinstance(severity, bool))
+    return event._replace(severity=severity if is_known else None) if _is_time(time_s) else None
+
+
+def _is_time(time_s: float) -> bool:
+    return math.isfinite(time_s) and abs(time_s) <= MOST_S
+
+
+def _unrecorded(summary: RunSummary) -> Sequence[str]:
+    """Tell what the recorder itself says is missing."""
+    missing = summary.table("recording_missing")
+    told = [
+        f"{name}: nothing after {since_s:.2f} s was recorded" for name, since_s in missing.items() if _told(since_s)
+    ]
+    failure = summary.table("recording_failure").get("text")
+    return ([f"recording stopped: {failure}"] if isinstance(failure, str) else []) + told
+
+
+def _told(since_s: object) -> bool:
+    return isinstance(since_s, (int, float)) and _is_time(since_s)

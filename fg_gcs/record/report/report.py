@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from html import escape
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
-from fg_gcs.record.read.run import LoggedEvent, Run, load_run
+import plotly.graph_objects as go
+
+from fg_gcs.record.evaluate.evaluation import EvaluatedRun, evaluated
+from fg_gcs.record.read.run import LoggedEvent
 from fg_gcs.record.report.charts import (
     acceleration_chart,
+    age_chart,
+    centre_chart,
     face_chart,
     lateness_chart,
     separation_chart,
+    sightings_chart,
+    size_chart,
     speed_chart,
     tracking_chart,
 )
 from fg_gcs.record.report.html import Cell, Row, chart, page, section, table
 from fg_gcs.record.report.scene import scene
-from fg_gcs.record.report.tracking_charts import age_chart, centre_chart, sightings_chart, size_chart
 from fg_gcs.record.write.recorder import REPORT
 
 # Plans keep their limits exactly, real vehicles overshoot: wind, control, velocities stamped in whole milliseconds
@@ -35,42 +43,172 @@ ERROR, WARNING = 3, 4  # MAVLink's severities: up to 3 errors, 4 a warning
 KEPT, BROKEN, NO_FIGURE = "✓", "✗", "-"
 
 
-def write_report(folder: Path) -> Path:
+class WrittenReport(NamedTuple):
+    """A report that was written."""
+
+    path: Path
+    remarks: tuple[str, ...]  # what is missing from it and why, a line each
+
+
+class ChartOverTime(NamedTuple):
+    """A chart over time and how to read it."""
+
+    name: str
+    title: str
+    draw: Callable[[EvaluatedRun], go.Figure | None]
+    note: str
+
+
+CHARTS = (
+    ChartOverTime(
+        "speed",
+        "Speed",
+        speed_chart,
+        "Norm of every vehicle's velocity. Good: fast, and below the dashed limit. The vertical parts of a flight may "
+        "be slower, because climb and descent have limits of their own.",
+    ),
+    ChartOverTime(
+        "acceleration",
+        "Acceleration",
+        acceleration_chart,
+        "Change of every vehicle's velocity over a tenth of a second, while it is in the air. Good: below the dashed "
+        "limit, and close to it while the swarm follows a plan: no time is wasted.",
+    ),
+    ChartOverTime(
+        "face",
+        "How well the face looks at the target",
+        face_chart,
+        "Coverage 1: the face could not look better at the target at this distance; 0: it looks away. Flux metric 1: "
+        "the target lies in the face, which is the aim of the flight. Good: coverage rises early in the approach and "
+        "stays near 1, and the flux metric is 1 throughout the hold.",
+    ),
+    ChartOverTime(
+        "separation",
+        "Smallest separation",
+        separation_chart,
+        "Distance between the two vehicles that are closest to each other at each time. Good: never below the dashed "
+        "minimum.",
+    ),
+    ChartOverTime(
+        "tracking",
+        "Tracking error",
+        tracking_chart,
+        "Distance between every vehicle and its setpoint of the same instant, in the stages that follow a plan. Good: "
+        "far smaller than the separation.",
+    ),
+    ChartOverTime(
+        "lateness",
+        "Lateness of setpoints",
+        lateness_chart,
+        "How long after its due time each round of setpoints left. Good: far below the dashed period; a round later "
+        "than that is left out. Flights in virtual time are never late.",
+    ),
+)
+TRACKING_CHARTS = (
+    ChartOverTime(
+        "centre",
+        "How far off the target",
+        centre_chart,
+        "Distance of the formation's centre from where it should be around the target: dark by what was flown and "
+        "where the target truly was, in colours by what was commanded and believed, one colour for each of the "
+        "tracker's modes. Good: it falls fast, and stays below the dashed line from the capture on.",
+    ),
+    ChartOverTime(
+        "sightings",
+        "Sightings",
+        sightings_chart,
+        "How far every sighting lay from the target when it was true. Good: red crosses, which were refused, lie far "
+        "off, and those that were taken spread by no more than the sensor's noise.",
+    ),
+    ChartOverTime(
+        "size",
+        "Size",
+        size_chart,
+        "Radius of the ball that holds several targets, or one that is not seen any more, with all that is uncertain "
+        "about them; and of the largest circle in the formation's face as it was flown. Good: the circle is above the "
+        "ball, or on the way there. Missing where one target was seen all the time.",
+    ),
+    ChartOverTime(
+        "age",
+        "Age of what is known",
+        age_chart,
+        "How old the newest sighting was whenever a trajectory was planned. Good: below the dashed line; above it the "
+        "target counts as lost.",
+    ),
+)
+
+
+def write_report(folder: Path) -> WrittenReport:
     """Write ``report.html`` into a run's folder, from nothing but that folder's files.
 
-    Args:
-        folder: a folder that a :class:`~fg_gcs.record.write.recorder.Recorder` has finished.
+    What is missing or damaged is left out, and the report says so. The same files give the same bytes.
 
-    Returns:
-        The report's path. The same files give the same bytes.
+    Args:
+        folder: of a run, however it ended.
 
     Raises:
-        OSError: a file cannot be read or written.
-        ValueError: a file is not what its name says.
-        KeyError: a table lacks a column.
+        RunError: it is not the folder of a run.
+        OSError: the report cannot be written; one that was there is left as it was.
     """
-    run = load_run(folder)
-    path = folder / REPORT
-    path.write_text(page(f"{run.name}: flight report", _sections(run)), encoding="utf-8")
-    return path
+    run = evaluated(folder)
+    remarks, sections = list(run.remarks), []
+    for what, part in _parts(run):
+        try:
+            sections.append(part(run))
+        except Exception as error:  # absurd numbers in a damaged file; the other parts are worth having all the same
+            remarks.append(f"{what}: cannot be shown: {type(error).__name__}: {error}")
+    if remarks:
+        missing = section("What is not here", table((), [Row((remark,), "care") for remark in remarks]))
+        sections.insert(1, missing)
+    path, draft = folder / REPORT, folder / f".{REPORT}.draft"
+    try:
+        draft.write_bytes(page(f"{run.name}: flight report", sections).encode("utf-8", "replace"))
+        draft.replace(path)
+    except OSError:
+        draft.unlink(missing_ok=True)
+        raise
+    return WrittenReport(path, tuple(remarks))
 
 
-def _sections(run: Run) -> Iterator[str]:
+def _parts(run: EvaluatedRun) -> Iterator[tuple[str, Callable[[EvaluatedRun], str]]]:
+    """Yield the report's parts, each with a name for when it cannot be made."""
+    yield "headline", _headline
+    yield "figures", _asked_and_flown
+    yield "flight", _nothing_flown
+    yield "paths", _paths
+    for each in CHARTS if run.followed is None else (*TRACKING_CHARTS, *CHARTS):
+        yield each.name, partial(_chart, each)
+    yield "timings", lambda run: section("Timings and traffic", _timings(run))
+    yield "events", _diary
+
+
+def _chart(what: ChartOverTime, run: EvaluatedRun) -> str:
+    return chart(what.name, what.title, what.draw(run), what.note)
+
+
+def _asked_and_flown(run: EvaluatedRun) -> str:
     planned = "Planned: verified before take-off."
     if run.followed is not None:
         planned = "Nothing of the chase is planned before take-off: every trajectory is verified before it is flown."
-    yield _headline(run)
-    yield section(
+    return section(
         "What was asked, what was flown",
         table(("", "asked", "planned", "flown", ""), _figures(run)),
         f"{planned} Flown: measured from the vehicles' own telemetry; since they overshoot a "
         f"little, up to {100 * FLOWN_SLACK:g} % above a speed or acceleration limit counts as kept. Separation has no "
         "slack.",
     )
-    if run.series is None:
-        nothing = "The vehicles sent too few positions to draw charts over time; most likely nobody took off."
-        yield section("Flight", "", nothing)
-    yield chart(
+
+
+def _nothing_flown(run: EvaluatedRun) -> str:
+    if run.series is not None:
+        return ""
+    return section(
+        "Flight", "", "The vehicles sent too few positions to draw charts over time; most likely none took off."
+    )
+
+
+def _paths(run: EvaluatedRun) -> str:
+    return chart(
         "paths",
         "Paths",
         scene(run),
@@ -79,105 +217,27 @@ def _sections(run: Run) -> Iterator[str]:
         "it in the end. Drag to rotate, scroll to zoom, click the legend to hide or show.",
         style="",
     )
-    yield from _charts(run)
-    yield section("Timings and traffic", _timings(run))
-    if run.events:
-        yield section("What happened", table(("time [s]", "kind", "what"), _events(run.events), style="events"))
 
 
-def _charts(run: Run) -> Iterator[str]:
-    if run.followed is not None:
-        yield from _tracking_charts(run)
-    yield chart(
-        "speed",
-        "Speed",
-        speed_chart(run),
-        "Norm of every vehicle's velocity. Good: fast, and below the dashed limit. The vertical parts of a flight may "
-        "be slower, because climb and descent have limits of their own.",
-    )
-    yield chart(
-        "acceleration",
-        "Acceleration",
-        acceleration_chart(run),
-        "Change of every vehicle's velocity over a tenth of a second, while it is in the air. Good: below the dashed "
-        "limit, and close to it while the swarm follows a plan: no time is wasted.",
-    )
-    yield chart(
-        "face",
-        "How well the face looks at the target",
-        face_chart(run),
-        "Coverage 1: the face could not look better at the target at this distance; 0: it looks away. Flux metric 1: "
-        "the target lies in the face, which is the aim of the flight. Good: coverage rises early in the approach and "
-        "stays near 1, and the flux metric is 1 throughout the hold.",
-    )
-    yield chart(
-        "separation",
-        "Smallest separation",
-        separation_chart(run),
-        "Distance between the two vehicles that are closest to each other at each time. Good: never below the dashed "
-        "minimum.",
-    )
-    yield chart(
-        "tracking",
-        "Tracking error",
-        tracking_chart(run),
-        "Distance between every vehicle and its setpoint of the same instant, in the stages that follow a plan. Good: "
-        "far smaller than the separation.",
-    )
-    yield chart(
-        "lateness",
-        "Lateness of setpoints",
-        lateness_chart(run),
-        "How long after its due time each round of setpoints left. Good: far below the dashed period; a round later "
-        "than that is left out. Flights in virtual time are never late.",
-    )
+def _diary(run: EvaluatedRun) -> str:
+    if not run.events:
+        return ""
+    return section("What happened", table(("time [s]", "kind", "what"), _events(run.events), style="events"))
 
 
-def _tracking_charts(run: Run) -> Iterator[str]:
-    yield chart(
-        "centre",
-        "How far off the target",
-        centre_chart(run),
-        "Distance of the formation's centre from where it should be around the target: dark by what was flown and "
-        "where the target truly was, in colours by what was commanded and believed, one colour for each of the "
-        "tracker's modes. Good: it falls fast, and stays below the dashed line from the capture on.",
-    )
-    yield chart(
-        "sightings",
-        "Sightings",
-        sightings_chart(run),
-        "How far every sighting lay from the target when it was true. Good: red crosses, which were refused, lie far "
-        "off, and those that were taken spread by no more than the sensor's noise.",
-    )
-    yield chart(
-        "size",
-        "Size",
-        size_chart(run),
-        "Radius of the ball that holds several targets, or one that is not seen any more, with all that is uncertain "
-        "about them; and of the largest circle in the formation's face as it was flown. Good: the circle is above the "
-        "ball, or on the way there. Missing where one target was seen all the time.",
-    )
-    yield chart(
-        "age",
-        "Age of what is known",
-        age_chart(run),
-        "How old the newest sighting was whenever a trajectory was planned. Good: below the dashed line; above it the "
-        "target counts as lost.",
-    )
-
-
-def _headline(run: Run) -> str:
+def _headline(run: EvaluatedRun) -> str:
     summary = run.summary
-    completed = bool(summary.get("completed"))
-    reason = str(summary.get("reason") or "no reason was written down")
+    completed = summary.is_true("completed")
+    reason = summary.text("reason") or "no reason was written down"
+    lost = summary.ids("lost_vehicles")
     outcome = "Completed" if completed else f"Aborted: {reason}"
     description = "" if run.mission is None else run.mission.description
     begin_s, end_s = run.span_s
     facts = [
         f"{run.begun:%A, %d %B %Y, %H:%M:%S}" if run.begun else "",
         f"{_landed(run)} vehicles landed and disarmed" if _landed(run) != NO_FIGURE else "",
-        f"{end_s - begin_s:.0f} s from take-off to landing" if run.bands else "nobody took off",
-        f"lost: vehicles {_names(summary['lost_vehicles'])}" if summary.get("lost_vehicles") else "",
+        f"{end_s - begin_s:.0f} s from take-off to landing" if run.bands else "no vehicle took off",
+        f"lost: vehicles {_names(lost)}" if lost else "",
     ]
     return (
         f'<header class="{"good" if completed else "bad"}"><h1>{escape(run.name)}</h1>\n'
@@ -186,13 +246,13 @@ def _headline(run: Run) -> str:
     )
 
 
-def _figures(run: Run) -> Iterator[Row]:
+def _figures(run: EvaluatedRun) -> Iterator[Row]:
     number, moves = run.number, run.followed is not None
     vehicles, landed = _vehicles(run), number("vehicles_landed")
     everybody = None if vehicles is None or landed is None else landed == vehicles
     yield _row("Vehicles landed and disarmed", _text(vehicles, "", 0), "", _landed(run), everybody)
     for name, key, unit in (("speed", "speed_m_s", "m/s"), ("acceleration", "acceleration_m_s2", "m/s²")):
-        flown, limit = number(f"flown_peak_{key}"), run.limit(key)
+        flown, limit = number(f"flown_peak_{key}"), run.summary.limit(key)
         planned = "" if moves else _text(number(f"peak_{key}"), unit)
         yield _row(f"Highest {name}", _text(limit, unit, None, "≤ "), planned, _text(flown, unit), *_kept(flown, limit))
     flown, limit = number("flown_min_separation_m"), number("separation_m")
@@ -214,7 +274,7 @@ def _figures(run: Run) -> Iterator[Row]:
     yield _row("Lateness of 99 % of the setpoints", _text(period, "ms", None, "< "), "", _text(late, "ms"), timely)
 
 
-def _tracking_figures(run: Run) -> Iterator[Row]:
+def _tracking_figures(run: EvaluatedRun) -> Iterator[Row]:
     for name, key, unit, digits in (
         ("Time until the target was caught", "capture_time_s", "s", 1),
         ("Centre off the true target, root mean square", "centre_error_rms_m", "m", 2),
@@ -228,9 +288,9 @@ def _tracking_figures(run: Run) -> Iterator[Row]:
         ("Sightings", "sightings", "", 0),
     ):
         yield _row(name, "", "", _text(run.number(key), unit, digits))
-    for again in run.summary.get("found_again_s") or ():
-        yield _row("Lost, and found again within", "", "", "never" if again is None else _text(float(again), "s", 1))
-    for reason, count in (run.summary.get("sightings_rejected") or {}).items():
+    for again in run.found_again_s:
+        yield _row("Lost, and found again within", "", "", "never" if again is None else _text(again, "s", 1))
+    for reason, count in run.summary.table("sightings_rejected").items():
         yield _row(f"Sightings refused: {str(reason).replace('_', ' ')}", "", "", str(count))
 
 
@@ -247,10 +307,10 @@ def _kept(flown: float | None, limit: float | None) -> tuple[bool | None, str]:
     return excess <= FLOWN_SLACK, f"{100 * excess:.1f} % above" if excess > 0.0005 else ""  # less does not show
 
 
-def _timings(run: Run) -> str:
+def _timings(run: EvaluatedRun) -> str:
     milliseconds = [
         ("Searching the path", _text(run.number("plan_time_s"), "ms", 1, scale=1e3)),
-        ("Timing it and proving the plan", _text(run.number("timing_time_s"), "ms", 1, scale=1e3)),
+        ("Timing and verifying it", _text(run.number("timing_time_s"), "ms", 1, scale=1e3)),
     ]
     vehicles, samples = _vehicles(run), len(run.telemetry["time_s"])
     times = run.telemetry["time_s"]
@@ -300,20 +360,20 @@ def _told(events: Sequence[LoggedEvent]) -> Iterator[Row]:
 
 def _weight(event: LoggedEvent) -> str:
     severity = event.severity if isinstance(event.severity, int) else ERROR + WARNING
-    if event.kind in ("fault", "abort", "error") or severity <= ERROR:
+    if event.kind in ("fault", "abort", "error", "recording") or severity <= ERROR:
         return "fault"
     if event.kind in ("warning", "notice", "limit") or severity <= WARNING:
         return "care"
     return "stage" if event.kind == "stage" else ""
 
 
-def _vehicles(run: Run) -> float | None:
+def _vehicles(run: EvaluatedRun) -> float | None:
     """Return how many vehicles were asked for; the summary of a run without a plan does not know."""
     planned = run.number("vehicles")
     return planned if planned is not None or run.mission is None else float(run.mission.swarm.vehicles)
 
 
-def _landed(run: Run) -> str:
+def _landed(run: EvaluatedRun) -> str:
     landed, vehicles = run.number("vehicles_landed"), _vehicles(run)
     if landed is None:
         return NO_FIGURE

@@ -9,10 +9,10 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.record.evaluate.evaluation import EvaluatedRun
 from fg_gcs.record.evaluate.figures import PLANNED_STAGES
-from fg_gcs.record.read.run import Run
 from fg_gcs.record.report.charts import INK, colour_of
-from fg_gcs.record.write.table import Columns
+from fg_gcs.record.write.layouts import Columns
 
 POINTS_PER_PATH = 400  # straight pieces of a decimetre or so: smooth from any side
 POINTS_IN_ALL = 25_000  # under half a megabyte each for the ways out, the ways home and the plans
@@ -21,7 +21,7 @@ TARGET_COLOUR, FACE_COLOUR, PLAN_COLOUR, PAD_COLOUR = "#c62828", "#e6a700", "#78
 ESTIMATE_COLOUR = "#f4a3a0"
 
 
-def scene(run: Run) -> go.Figure | None:
+def scene(run: EvaluatedRun) -> go.Figure | None:
     """Return flown and planned paths, faces, pads and target; None when there is no sample at all."""
     ids = np.unique(run.telemetry["system_id"]).astype(int).tolist()
     if not ids:
@@ -106,7 +106,7 @@ def _between(columns: Columns, begin_s: float, end_s: float) -> Columns:
     return {name: column[inside] for name, column in columns.items()}
 
 
-def _add_flown(figure: go.Figure, run: Run, system_id: int, path: Array) -> None:
+def _add_flown(figure: go.Figure, run: EvaluatedRun, system_id: int, path: Array) -> None:
     """Draw a vehicle's way up to and around the target: a leader under its own name."""
     leads = system_id in run.leaders
     name = f"leader {system_id}" if leads else "followers" if run.leaders else "vehicles"
@@ -114,7 +114,7 @@ def _add_flown(figure: go.Figure, run: Run, system_id: int, path: Array) -> None
     _add_path(figure, path, name, _hover(system_id), {"color": colour_of(run, system_id), "width": width})
 
 
-def _add_return(figure: go.Figure, run: Run, system_id: int, path: Array) -> None:
+def _add_return(figure: go.Figure, run: EvaluatedRun, system_id: int, path: Array) -> None:
     """Draw a vehicle's way home, so thin that it does not hide the approach."""
     if len(path):
         _add_path(figure, path, "way home", _hover(system_id), {"color": colour_of(run, system_id), "width": 1.5})
@@ -145,7 +145,7 @@ def _add_group(figure: go.Figure, paths: list[Array], name: str, colour: str, li
         )
 
 
-def _add_faces(figure: go.Figure, run: Run) -> None:
+def _add_faces(figure: go.Figure, run: EvaluatedRun) -> None:
     """Draw the leaders' polygon at the approach's begin and middle and at the hold's."""
     series, moments = run.series, []
     if "approach" in run.stages:
@@ -172,7 +172,7 @@ def _add_faces(figure: go.Figure, run: Run) -> None:
         figure.data[-1].legendgroup = "face"
 
 
-def _add_target(figure: go.Figure, run: Run) -> list[Array]:
+def _add_target(figure: go.Figure, run: EvaluatedRun) -> list[Array]:
     """Draw the target, and where it went if it moved; return the places of that."""
     if run.target_enu_m is None:
         return []

@@ -1,0 +1,86 @@
+"""A table of a run read back: what is there, and a line about what is not."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from fg_gcs.record.write.layouts import Columns, TableLayout
+
+MOST_S = 1e6  # since the start of a run: eleven days; a later time is none
+VERSION = (1, 0)  # of NumPy's format
+
+
+class ReadTable(NamedTuple):
+    """A table's columns and what is wrong with its file, None if nothing is."""
+
+    columns: Columns
+    remark: str | None
+
+
+def read_table(path: Path, layout: TableLayout) -> ReadTable:
+    """Read a table; rows that cannot be read are left out, and the remark says so. Never raises, whatever lies there.
+
+    Args:
+        path: of the file.
+        layout: columns that it should have; those that are missing, in rows of an older version, have no values: NaN,
+            0, or no text.
+    """
+    nothing = layout.columns_of(np.zeros(0, layout.dtype))
+    try:
+        with path.open("rb") as file:
+            rows, missing = _rows(file, layout)
+    except OSError as error:
+        return ReadTable(nothing, f"{path.name}: cannot be read: {error.strerror or error}")
+    except Exception as error:  # NumPy's parser raises whatever Python's does: strange bytes are no fault of ours
+        return ReadTable(nothing, f"{path.name}: not a table of {layout.name}: {' '.join(str(error).split())[:200]}")
+    good = np.isfinite(rows["time_s"]) & (np.abs(rows["time_s"]) <= MOST_S)
+    remarks = [] if missing is None else [missing]
+    if not good.all():
+        remarks.append(f"{np.count_nonzero(~good)} rows with an impossible time are left out")
+    remark = f"{path.name}: {'; '.join(remarks)}" if remarks else None
+    return ReadTable(layout.columns_of(rows[good]), remark)
+
+
+def _rows(file: IO[bytes], layout: TableLayout) -> tuple[NDArray[Any], str | None]:
+    """Return the rows that are there in the layout's type, and how many more the header promises.
+
+    Raises:
+        Exception: the header is not that of such a table.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        if npy.read_magic(file) != VERSION:
+            raise ValueError("written in an unknown version of the format")
+        shape, _, dtype = npy.read_array_header_1_0(file)  # parses literals only: nothing in it is ever run
+    if len(shape) != 1 or dtype.names is None or dtype.hasobject or not dtype.itemsize:
+        raise ValueError("its rows are not records")
+    wrong = [name for name, *_ in layout.dtype.descr if name in dtype.names and not _fits(dtype, layout.dtype, name)]
+    absent = [name for name, *_ in layout.dtype.descr if name not in dtype.names]
+    if wrong or "time_s" in absent or len(absent) > len(layout.columns) // 2:
+        raise ValueError(f"the column {(wrong or absent)[0]} is {'another' if wrong else 'missing'}")
+    there = (os.fstat(file.fileno()).st_size - file.tell()) // dtype.itemsize
+    count = min(int(shape[0]), there)
+    found = np.frombuffer(file.read(count * dtype.itemsize), dtype)
+    rows = np.zeros(len(found), layout.dtype)
+    for name, *_ in layout.dtype.descr:
+        if name in dtype.names:
+            rows[name] = found[name]
+        elif rows[name].dtype.kind == "f":
+            rows[name] = np.nan
+    remarks = [f"cut off: {count} of {shape[0]} rows are there"] if count < shape[0] else []
+    remarks += [f"the column {name} is missing" for name in absent]
+    return rows, "; ".join(remarks) or None
+
+
+def _fits(found: np.dtype[Any], wanted: np.dtype[Any], name: str) -> bool:
+    """Tell whether a column of a file has values of the kind that is wanted, and as many in a row."""
+    one, other = found[name], wanted[name]
+    alike = (one.base.kind == "S") == (other.base.kind == "S") and np.can_cast(one.base, other.base, "same_kind")
+    return one.shape == other.shape and alike
