@@ -32,7 +32,7 @@ from fg_gcs.wire.codec import Message
 from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.vehicle import Vehicle
 
-FAST = 1000.0  # times real time: pauses pass in milliseconds, with real sockets
+FAST = 50.0  # times real time: pauses pass at once, and an attempt still has 100 ms on a machine that is busy
 PATIENCE_S = 10.0 * FAST  # seconds of real time: loopback needs microseconds
 Result = TypeVar("Result")
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
