@@ -100,3 +100,11 @@ def test_bounds_widen_as_far_as_a_goal_needs_in_either_direction_and_no_bound_na
         axes = Axes(0.0, np.zeros((3, 3)))
         assert axes.to(side * goal, bounds().reaching(side * goal))
         assert axes.end == pytest.approx(side * goal, abs=1e-6)
+
+
+def test_states_do_not_depend_on_the_order_in_which_they_are_asked_for() -> None:
+    axes = chained(3)
+    time_s = np.linspace(axes.start_s - 1.0, axes.end_s + 1.0, 60)
+    shuffled = np.random.default_rng(0).permutation(len(time_s))
+    assert (axes.at(time_s[::-1])[::-1] == axes.at(time_s)).all()
+    assert (axes.at(time_s[shuffled]) == axes.at(time_s)[shuffled]).all()

@@ -13,7 +13,7 @@ from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import closest_approach
 from fg_gcs.plan.path.rigid_path import OUTLINED, attitudes_at, ball_points
 from fg_gcs.plan.path.splines import rotation_spline
-from fg_gcs.plan.path.swarm_path import ClosestApproach, PathPoint, SwarmPath, thinned
+from fg_gcs.plan.path.swarm_path import BodyPoints, ClosestApproach, PathPoint, SwarmPath, thinned
 
 Indices = NDArray[np.intp]
 
@@ -95,7 +95,10 @@ class LeadersPath:
         largest of any points around all of them. Few followers are their own outline; many get the corners around a
         ball.
         """
-        return self if len(self._followers_m) <= OUTLINED else _Outline(self, self._followers_m)
+        if len(self._followers_m) <= OUTLINED:
+            return self
+        corners_m = float(np.linalg.norm(self._followers_m, axis=1).max()) * ball_points()
+        return BodyPoints(self, corners_m, self.vehicles - len(self._followers_m) + len(corners_m))
 
     def at(self, s_m: Array) -> PathPoint:
         """Return the swarm at the parameters ``s_m``, shape (S,)."""
@@ -137,23 +140,3 @@ class LeadersPath:
         """Return all slots in the moving frame, leaders first, shape (S, V, 3) [m; template]."""
         followers = np.broadcast_to(followers_m, (len(s_m), *followers_m.shape))
         return np.concatenate((self._leaders(s_m), followers), axis=1)
-
-
-class _Outline:
-    """The leaders, and points of the followers' frame that enclose all of these."""
-
-    def __init__(self, body: LeadersPath, followers_m: Array) -> None:
-        self.knots_m, self.length_m = body.knots_m, body.length_m
-        self._body = body
-        self._points_m = float(np.linalg.norm(followers_m, axis=1).max()) * ball_points()
-        self.vehicles = body.vehicles - len(followers_m) + len(self._points_m)
-
-    @property
-    def outline(self) -> _Outline:
-        return self
-
-    def at(self, s_m: Array) -> PathPoint:
-        return self._body.points_at(s_m, self._points_m)
-
-    def closest(self) -> ClosestApproach:
-        return self._body.closest()

@@ -13,7 +13,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
 from fg_gcs.plan.path.poses import Poses
 from fg_gcs.plan.path.splines import Vector, cross, mix, natural_cubic, rotation_spline, turning
-from fg_gcs.plan.path.swarm_path import ClosestApproach, PathPoint, SwarmPath, thinned
+from fg_gcs.plan.path.swarm_path import BodyPoints, ClosestApproach, PathPoint, SwarmPath, thinned
 
 OUTLINED = 64  # above this many slots a ball stands for the swarm: costs some percent of the turn, saves all the time
 
@@ -67,7 +67,7 @@ class PosePath:
 
     def of_points(self, points_m: Array) -> SwarmPath:
         """Return the path of other points of the same body, shape (P, 3) [m; template], with the same parameter."""
-        return _Points(self, points_m)
+        return BodyPoints(self, points_m, len(points_m))
 
     @property
     def outline(self) -> SwarmPath:
@@ -87,26 +87,6 @@ class PosePath:
         distance_m, pair = _closest_pair(self._slots_m)
         where_m = 0.0 if self._scales[0] <= self._scales[1] else self.length_m
         return ClosestApproach(float(distance_m * self._scales.min()), where_m, pair)
-
-
-class _Points:
-    """Points of a rigid formation's body, on its path."""
-
-    def __init__(self, body: PosePath, points_m: Array) -> None:
-        self.knots_m, self.length_m = body.knots_m, body.length_m
-        self._body = body
-        self._points_m = points_m
-        self.vehicles = len(points_m)
-
-    @property
-    def outline(self) -> _Points:
-        return self
-
-    def at(self, s_m: Array) -> PathPoint:
-        return self._body.points_at(s_m, self._points_m)
-
-    def closest(self) -> ClosestApproach:
-        return self._body.closest()
 
 
 def outline_of(slots_m: Array) -> Array:

@@ -57,6 +57,36 @@ class SwarmPath(Protocol):
         """Return the closest approach of any pair on the whole path; a single vehicle has an infinite one."""
 
 
+class Body(SwarmPath, Protocol):
+    """A path in whose moving frame other points can stand than those of the vehicles."""
+
+    def points_at(self, s_m: Array, points_m: Array) -> PathPoint:
+        """Return points of the moving frame, shape (P, 3) [m; template], at the parameters ``s_m``, shape (S,)."""
+
+
+class BodyPoints:
+    """Points that stand for the vehicles of a body, on its path; the closest pair is that of the vehicles."""
+
+    def __init__(self, body: Body, points_m: Array, vehicles: int) -> None:
+        """Take the points, shape (P, 3) [m; template], and how many there are with what the body adds to them."""
+        self.knots_m, self.length_m, self.vehicles = body.knots_m, body.length_m, vehicles
+        self._body = body
+        self._points_m = points_m
+
+    @property
+    def outline(self) -> SwarmPath:
+        """Itself: it is what others are outlined by."""
+        return self
+
+    def at(self, s_m: Array) -> PathPoint:
+        """Return the points at the parameters ``s_m``, shape (S,)."""
+        return self._body.points_at(s_m, self._points_m)
+
+    def closest(self) -> ClosestApproach:
+        """Return the closest approach of any pair of vehicles."""
+        return self._body.closest()
+
+
 class LinePath:
     """All vehicles on straight lines, in step: from one set of places to another."""
 

@@ -96,7 +96,7 @@ def _averaged(
         if window > 0.0:
             tail = _cell(starts, time - window, tail)
             area0, here0, fast0, _ = _base(starts, cells, tail, time - window)
-            area, here, fast, gains = area - area0, here - here0, fast - fast0, 0.0
+            area, here, fast = area - area0, here - here0, fast - fast0
             here, fast, gains = area / window, here / window, fast / window
         s[i] = min(max(here, low), high)  # rounding must not leave the path
         rate[i], s_ddot[i] = fast / stretch, gains / (stretch * stretch)
