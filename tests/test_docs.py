@@ -20,7 +20,7 @@ DECISIONS = ROOT / "docs" / "decisions"
 MADE_BY_RUNS = "logs/"  # folders of runs; their names are those of an example
 TYPED_BY_USERS = re.compile(r"^(/|~|\.venv/|logs/<)|[<>*{}$ ]")  # commands and placeholders, not paths of the project
 # Named by the pages, and made beside them; an entry goes as soon as its file is there
-AWAITED = {"docs/api.md", "examples/", "flight/motions.py", "sitl_mock/profiles/"}
+AWAITED = {"docs/api.md", "examples/"}
 NETWORK = ("http://", "https://", "mailto:")
 
 

@@ -189,22 +189,14 @@ def simulate_kinematics(
     received: list[float] = []
     replans: list[Replanned] = []
     frames: list[Frames] = []
-    estimate_m = np.full((len(time_s), 3), np.nan)
     modes: list[FollowMode] = []
+    estimate_m = np.full((len(time_s), 3), np.nan)
     for tick, now_s in enumerate(time_s.tolist()):
-        plan_s = now_s if now_s - planned_s >= QUIET_S else None
-        while due.received_s <= now_s:
-            if due.sighting is not None:
-                core.sighted(due.sighting, due.received_s)
-                received.append(due.received_s)
-                plan_s = due.received_s  # once for all that came since the last tick
-            due = next(arrivals)
-        if plan_s is not None:
-            began = stopwatch()
-            replan = core.replan(plan_s)
-            if replan is not None:
-                replans.append(Replanned(plan_s, replan.mode, replan.taken, stopwatch() - began))
-            planned_s = plan_s
+        due, came_s = _received(core, due, arrivals, now_s)
+        received += came_s
+        if came_s or now_s - planned_s >= QUIET_S:
+            planned_s = came_s[-1] if came_s else now_s  # once for all that came since the last tick
+            replans += _replanned(core, planned_s, stopwatch)
         known = core.known(now_s)
         if known is not None:
             estimate_m[tick] = known.position_enu_m
@@ -229,6 +221,26 @@ def simulate_kinematics(
         replans=tuple(replans),
         caught_s=core.caught_s,
     )
+
+
+def _received(
+    core: FollowingCore, due: Measurement, arrivals: Iterator[Measurement], now_s: float
+) -> tuple[Measurement, list[float]]:
+    """Hand in what has come by now; return what comes next, and when each sighting came [s]."""
+    came_s: list[float] = []
+    while due.received_s <= now_s:
+        if due.sighting is not None:
+            core.sighted(due.sighting, due.received_s)
+            came_s.append(due.received_s)
+        due = next(arrivals)
+    return due, came_s
+
+
+def _replanned(core: FollowingCore, now_s: float, stopwatch: Callable[[], float]) -> list[Replanned]:
+    """Plan anew; return what came of it, nothing while nothing is known of the targets."""
+    began = stopwatch()
+    replan = core.replan(now_s)
+    return [] if replan is None else [Replanned(now_s, replan.mode, replan.taken, stopwatch() - began)]
 
 
 def _arrivals(motions: Mapping[str, TrueMotion], sensors: Sequence[Sensor]) -> Iterator[Measurement]:

@@ -9,7 +9,7 @@ import numpy as np
 from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.kernels import polygon_flux
-from fg_gcs.plan.path.splines import cross
+from fg_gcs.plan.path.splines import Vector, cross
 from fg_gcs.plan.search.steps import turn_by
 
 
@@ -98,26 +98,7 @@ def pose_derivatives(
                 hessian[3 + p, 3 + q] += 0.5 * (g[p] * y[q] + y[p] * g[q])
             hessian[3 + p, 3 + p] -= inner
         for q in range(3):  # columns of -[y] (H [y]) are y x those of -H [y]
-            column = cross(
-                y,
-                (
-                    weight
-                    * (
-                        y[(q + 1) % 3] * source_hessian[0, (q + 2) % 3]
-                        - y[(q + 2) % 3] * source_hessian[0, (q + 1) % 3]
-                    ),
-                    weight
-                    * (
-                        y[(q + 1) % 3] * source_hessian[1, (q + 2) % 3]
-                        - y[(q + 2) % 3] * source_hessian[1, (q + 1) % 3]
-                    ),
-                    weight
-                    * (
-                        y[(q + 1) % 3] * source_hessian[2, (q + 2) % 3]
-                        - y[(q + 2) % 3] * source_hessian[2, (q + 1) % 3]
-                    ),
-                ),
-            )
+            column = cross(y, _turned_column(source_hessian, y, q, weight))
             for p in range(3):
                 hessian[3 + p, 3 + q] += column[p]
         hessian[0, 4] -= g[2]
@@ -130,6 +111,17 @@ def pose_derivatives(
         for q in range(p):
             hessian[p, q] = hessian[q, p]
     return True
+
+
+@kernel
+def _turned_column(hessian: Array, y: Vector, q: int, weight: float) -> Vector:
+    """Return column ``q`` of ``-H [y]``, weighted."""
+    i, j = (q + 1) % 3, (q + 2) % 3
+    return (
+        weight * (y[i] * hessian[0, j] - y[j] * hessian[0, i]),
+        weight * (y[i] * hessian[1, j] - y[j] * hessian[1, i]),
+        weight * (y[i] * hessian[2, j] - y[j] * hessian[2, i]),
+    )
 
 
 @kernel

@@ -5,6 +5,19 @@ the open. When a vehicle would leave the fence, now or in the hold that the step
 it breaks becomes an equality of the subproblem, linear in (move, turn): with the arm ``r`` of the vehicle and the
 plane's normal ``e``, ``e . move + (r x e) . turn = gap``. The step is then the shortest one that meets all planes so
 far, plus the best one along them in what is left of the trust region; planes are added until the step stays inside.
+
+Both searches take
+
+- ``rim``: leaders of the template, shape (N, 3) [m];
+- ``points``: all slots, or points that enclose them, shape (P, 3) [m];
+- ``sources`` and ``weights``: their positions, shape (C, 3) [m], and weights, shape (C,), whose sum is 1;
+- ``depth``: of the centre of charge behind the face in the hold [m];
+- ``start``: pose as :func:`fg_gcs.plan.search.pose_model.keep` writes it, shape (13,);
+- ``last_scale``: of the template, to reach on the way at a bounded rate;
+- ``low`` and ``high``: corners of the fence, each of shape (3,) [m];
+- ``poses``: room for the path, shape (K, 13);
+
+and return how they ended (FOUND, ON_RIM, TOO_MANY or NO_NUMBERS), the number of poses and the number of steps tried.
 """
 
 from __future__ import annotations
@@ -46,17 +59,7 @@ def search(
 ) -> tuple[int, int, int]:
     """Fill ``poses`` with the path up to where the target is surrounded, and the slide to its hold.
 
-    Args:
-        rim: leaders of the template, shape (N, 3) [m].
-        sources: positions, shape (C, 3) [m].
-        weights: of the sources, shape (C,), their sum is 1.
-        depth: of the centre of charge behind the face in the hold [m].
-        start: pose as :func:`fg_gcs.plan.search.pose_model.keep` writes it, shape (13,).
-        last_scale: of the template, to reach on the way at a bounded rate.
-        poses: room for the path, shape (K, 13).
-
-    Returns:
-        How it ended (FOUND, ON_RIM, TOO_MANY or NO_NUMBERS), the number of poses and the number of steps tried.
+    Arguments and results are those of both searches, see the module.
     """
     if not (_all_finite(start) and _all_finite(sources.ravel()) and start[12] > 0.0 and 0.0 < last_scale < math.inf):
         return NO_NUMBERS, 0, 0
@@ -65,23 +68,21 @@ def search(
     vertices = np.empty_like(rim)
     gradient, hessian = np.empty(6), np.empty((6, 6))
     centre, rotation, scale = start[:3].copy(), start[3:12].copy().reshape(3, 3), start[12]
-    moved_centre = np.empty(3)
-    region = 1.0  # trust radius as a share of the largest step
-    against = False
+    region, against = 1.0, False  # trust radius as a share of the largest step; turning against the flux
     flux, known = 0.0, False
-    bound = _step_bound(centre, rotation, target, math.inf)
-    count = 1
+    bound, count = _step_bound(centre, rotation, target, math.inf), 1
     poses[0] = start
     for tried in range(poses.shape[0] - 2):
         place(rim, centre, rotation, scale, vertices)
         if not known:
             flux = charged_flux(vertices, sources, weights)
-        if _surrounded(vertices, target, len(sources), flux) or _among(centre, rotation, target, gyration * scale):
+        arrived = _surrounded(vertices, target, len(sources), flux) or _among(
+            centre, rotation, target, gyration * scale
+        )
+        several = flux > 0.0 and len(sources) > 1  # the most flux of several sources is had in front of them
+        if arrived or (region < STALLED and several):
             return FOUND, _slid(poses, count, target, depth, last_scale), tried
-        if region < STALLED:
-            if flux > 0.0 and len(sources) > 1:  # the most flux of several sources is had in front of them
-                return FOUND, _slid(poses, count, target, depth, last_scale), tried
-            against = True  # a face turned away can sit on a maximum: turn against the flux until it faces it
+        against = against or region < STALLED  # a face turned away can sit on a maximum: turn against the flux
         if against and flux <= 0.0:
             rotation = _turned_round(rotation, target - centre)
             keep(poses, count, centre, rotation, scale)
@@ -90,15 +91,14 @@ def search(
             continue
         nearest = NEAR_RIM * gyration * scale
         if not pose_derivatives(vertices, centre, sources, weights, nearest, gradient, hessian):
-            if flux > 0.0 and len(sources) > 1:  # as far as this one lets the face come
-                return FOUND, _slid(poses, count, target, depth, last_scale), tried
-            return ON_RIM, count, tried
+            if not several:
+                return ON_RIM, count, tried
+            return FOUND, _slid(poses, count, target, depth, last_scale), tried  # as far as this source lets it come
         size = region * bound
         turn = min(size / (gyration * scale), TURN_RAD)
         step, predicted = _best_step(gradient, hessian, size, turn, flux > 0.0)
         next_scale = _toward(scale, last_scale, SCALE_SHARE * size / gyration)
-        for k in range(3):
-            moved_centre[k] = centre[k] + step[k]
+        moved_centre = centre + step[:3]
         moved_rotation = turned(rotation, step[3], step[4], step[5])
         place(rim, moved_centre, moved_rotation, scale, vertices)
         moved_flux = charged_flux(vertices, sources, weights)
@@ -169,20 +169,7 @@ def search_inside(
 ) -> tuple[int, int, int]:
     """Fill ``poses`` with a path inside the fence up to where the target is surrounded, and the slide to its hold.
 
-    Args:
-        rim: leaders of the template, shape (N, 3) [m].
-        points: all slots, or points that enclose them, shape (P, 3) [m].
-        sources: positions, shape (C, 3) [m].
-        weights: of the sources, shape (C,), their sum is 1.
-        depth: of the centre of charge behind the face in the hold [m].
-        start: pose as :func:`fg_gcs.plan.search.pose_model.keep` writes it, shape (13,).
-        last_scale: of the template, to reach on the way.
-        low: lower corner of the fence, shape (3,) [m].
-        high: upper corner, shape (3,) [m].
-        poses: room for the path, shape (K, 13).
-
-    Returns:
-        How it ended (FOUND, ON_RIM or TOO_MANY), the number of poses and the number of steps tried.
+    Arguments and results are those of both searches, see the module.
     """
     target = centre_of(sources, weights)
     centre, rotation = start[:3].copy(), start[3:12].copy().reshape(3, 3)
@@ -292,24 +279,51 @@ def _bent_step(
         elif planes == PLANES:
             break
         else:
-            arm = scale * (rotation @ points[point])
-            if holding:
-                arm = arm + depth * rotation[:, 0]
-            normal = np.zeros(3)
-            normal[axis] = sign
-            if not holding:
-                rows[planes, :3] = normal
-            rows[planes, 3:] = np.cross(arm, normal)
-            place_now = (target if holding else centre) + arm
-            edge = low[axis] if sign > 0 else high[axis]
-            gaps[planes] = sign * (edge - place_now[axis])
-            if holding:  # the hold is still to come: its attitude is taken up in turns that leave room for the rest
-                most = HOLD_SHARE * math.sqrt(((rows[planes] * reach) ** 2).sum())
-                gaps[planes] = min(gaps[planes], most)
+            corner = (points[point], axis, sign, holding)
+            gaps[planes] = _plane(rows[planes], reach, corner, (centre, rotation, scale), target, depth, (low, high))
             ids[planes] = identity
             planes += 1
         unit = _along_planes(g, h, rows[:planes] * reach, gaps[:planes])
     return reach * unit, gain(g, h, unit), planes
+
+
+@kernel
+def _plane(
+    row: Array,
+    reach: Array,
+    corner: tuple[Array, int, float, bool],
+    pose: tuple[Array, Array, float],
+    target: Array,
+    depth: float,
+    fence: tuple[Array, Array],
+) -> float:
+    """Fill a row with how a step takes a point towards a side of the fence; return how far it has to, at least [m].
+
+    Args:
+        row: filled, shape (6,).
+        reach: of a step, shape (6,).
+        corner: a point of the template, shape (3,) [m]; the axis and the sign (1: the low one) of the side; whether
+            the point is meant in the hold, not on the way.
+        pose: the present centre, shape (3,) [m], rotation, shape (3, 3), and scale.
+        target: centre of charge, shape (3,) [m].
+        depth: of it behind the face in the hold [m].
+        fence: its low and its high corner, each of shape (3,) [m].
+    """
+    (point, axis, sign, holding), (centre, rotation, scale), (low, high) = corner, pose, fence
+    arm = scale * (rotation @ point)
+    if holding:
+        arm = arm + depth * rotation[:, 0]
+    normal = np.zeros(3)
+    normal[axis] = sign
+    if not holding:
+        row[:3] = normal
+    row[3:] = np.cross(arm, normal)
+    place_now = (target if holding else centre) + arm
+    edge = low[axis] if sign > 0 else high[axis]
+    gap: float = sign * (edge - place_now[axis])
+    if holding:  # the hold is still to come: its attitude is taken up in turns that leave room for the rest
+        gap = min(gap, HOLD_SHARE * math.sqrt(((row * reach) ** 2).sum()))
+    return gap
 
 
 @kernel
