@@ -15,7 +15,7 @@ from fg_gcs.errors import MissionError, VehicleError
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
-from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT
+from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
@@ -40,7 +40,7 @@ class Setup(NamedTuple):
     wait_s: float  # how long to wait for the vehicles' first heartbeats
     simulated: bool  # the vehicles are our own simulator's: the mission says where the world's origin is
     stopwatch: Callable[[], float]  # seconds, for planning times
-    targets_endpoint: str = SIMULATED_ENDPOINT  # where simulated target vehicles come
+    substitutes: Substitutes = Substitutes()  # for the sources of sightings that the mission names
 
 
 @dataclass
@@ -271,7 +271,7 @@ class Director:
             streamer,
             self.journal,
             setup.stopwatch,
-            setup.targets_endpoint,
+            setup.substitutes,
         )
         await target_follower.open()
         return target_follower

@@ -15,7 +15,7 @@ from fg_gcs.core.frames import Geodetic
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.motions import FormationMotion, Gaze, Headings
 from fg_gcs.flight.planning import LATE_S, Planning
-from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, SightingSources
+from fg_gcs.flight.sightings.sighting_sources import SightingSources, Substitutes
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.mission.model import SETPOINTS_HZ, Mission
 from fg_gcs.plan.flight_plan import Task
@@ -70,7 +70,7 @@ class TargetFollower:
         streamer: gets the motion.
         journal: where to say what happens.
         stopwatch: returns seconds, for planning durations alone.
-        simulated_endpoint: where simulated target vehicles come.
+        substitutes: what comes in the place of the mission's sources.
 
     Raises:
         MissionError: a target's file cannot be read, or something in it is wrong.
@@ -84,7 +84,7 @@ class TargetFollower:
         streamer: Streamer,
         journal: Journal,
         stopwatch: Callable[[], float],
-        simulated_endpoint: str = SIMULATED_ENDPOINT,
+        substitutes: Substitutes,
     ) -> None:
         self._swarm = Swarm(task.formation, slots_m, task.hold_depth_m, task.rules)
         self._settings = mission.tracking()
@@ -94,7 +94,13 @@ class TargetFollower:
         self._streamer = streamer
         self._journal = journal
         self._stopwatch = stopwatch
-        self._sources = SightingSources(mission.targets or [], self._sighted, self._refused, simulated_endpoint)
+        self._sources = SightingSources(
+            mission.targets or [],
+            self._sighted,
+            self._refused,
+            substitutes,
+            lambda text: journal.event("warning", text),
+        )
         self._time = journal.time
         self._wake = asyncio.Event()
         self._core: FollowingCore | None = None

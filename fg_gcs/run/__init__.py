@@ -10,29 +10,31 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fg_gcs.core.frames import Geodetic
     from fg_gcs.errors import FgError, LinkError, MissionError, PlanError, VehicleError
+    from fg_gcs.flight.sightings.own_source import OwnSightings
     from fg_gcs.flight.snapshot import RunEvent, Snapshot
     from fg_gcs.mission import Mission, load_mission, parse_mission
     from fg_gcs.run.flying import FlyOptions, Outcome, RunResult, fly, fly_blocking
     from fg_gcs.run.observing import Observer
     from fg_gcs.run.planning import PlannedMission, plan
     from fg_gcs.run.reporting import report
+    from fg_gcs.scenario.motions import TrueMotion
 
 _HOMES = {
     "FgError": "fg_gcs.errors",
     "FlyOptions": "fg_gcs.run.flying",
-    "Geodetic": "fg_gcs.core.frames",
     "LinkError": "fg_gcs.errors",
-    "RunEvent": "fg_gcs.flight.snapshot",
     "Mission": "fg_gcs.mission",
     "MissionError": "fg_gcs.errors",
     "Observer": "fg_gcs.run.observing",
     "Outcome": "fg_gcs.run.flying",
+    "OwnSightings": "fg_gcs.flight.sightings.own_source",
     "PlanError": "fg_gcs.errors",
     "PlannedMission": "fg_gcs.run.planning",
+    "RunEvent": "fg_gcs.flight.snapshot",
     "RunResult": "fg_gcs.run.flying",
     "Snapshot": "fg_gcs.flight.snapshot",
+    "TrueMotion": "fg_gcs.scenario.motions",
     "VehicleError": "fg_gcs.errors",
     "fly": "fg_gcs.run.flying",
     "fly_blocking": "fg_gcs.run.flying",
@@ -45,17 +47,18 @@ _HOMES = {
 __all__ = [
     "FgError",
     "FlyOptions",
-    "Geodetic",
     "LinkError",
     "Mission",
     "MissionError",
     "Observer",
     "Outcome",
+    "OwnSightings",
     "PlanError",
     "PlannedMission",
     "RunEvent",
     "RunResult",
     "Snapshot",
+    "TrueMotion",
     "VehicleError",
     "fly",
     "fly_blocking",

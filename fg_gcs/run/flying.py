@@ -14,6 +14,8 @@ from pathlib import Path
 
 from fg_gcs.errors import FgError, LinkError, MissionError
 from fg_gcs.flight.director import Director, FlightResult, Setup
+from fg_gcs.flight.sightings.own_source import OwnSightings
+from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.target_follower import warm_up
 from fg_gcs.link.clock import make_loop, speed_of
 from fg_gcs.link.endpoint import Endpoint, parse_networks
@@ -25,6 +27,7 @@ from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder
 from fg_gcs.run.observing import Audience, Observer
 from fg_gcs.run.simulators import free_port, simulated
 from fg_gcs.run.summary import summary_of
+from fg_gcs.scenario.motions import TrueMotion
 
 VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time no other program is there
 VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed one keeps a run's files the same
@@ -42,6 +45,8 @@ class FlyOptions:
             else the built-in simulator is started.
         wait_s: how long to wait for the vehicles' first heartbeats [s].
         autopilot: which one the simulator plays, ``px4`` or ``ardupilot``; None: as the mission says.
+        motions: true motions by the names of targets, in place of the mission's; its sensors see them.
+        sightings: sources of sightings by the names of targets, in place of the mission's.
         logs: the run's folder is made in here.
         knows_origin: whether the mission's origin is where it says on Earth; None: yes with the built-in simulator,
             otherwise only if the mission names one, else it is learnt from where the vehicles stand.
@@ -53,6 +58,8 @@ class FlyOptions:
     connect: tuple[str, ...] = ()
     wait_s: float = 30.0
     autopilot: str | None = None
+    motions: Mapping[str, TrueMotion] = field(default_factory=dict)
+    sightings: Mapping[str, OwnSightings] = field(default_factory=dict)
     logs: Path = Path("logs")
     knows_origin: bool | None = None
     snapshot_hz: float = 25.0
@@ -190,6 +197,9 @@ class _OwnLoop(Observer):
 
 def _networks(mission: Mission, options: FlyOptions) -> Networks:
     """Return where vehicles are that are there already; none: the simulator is to be started."""
+    unknown = {*options.motions, *options.sightings} - {target.name for target in mission.targets or ()}
+    if unknown:
+        raise MissionError(f"{mission.path}: no target is called {sorted(unknown)[0]!r}, so it can have no source")
     what = "--connect" if options.connect else f"{mission.path}: [networks]"
     try:
         return parse_networks(options.connect or mission.connections())
@@ -261,7 +271,7 @@ async def _surroundings(
             options.wait_s,
             own if options.knows_origin is None else options.knows_origin,
             time.perf_counter,
-            f"udpin:127.0.0.1:{targets_port}",
+            Substitutes(f"udpin:127.0.0.1:{targets_port}", options.motions, options.sightings),
         )
 
 

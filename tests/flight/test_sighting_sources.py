@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as dialect
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import geodetic_from_enu
 from fg_gcs.errors import LinkError
-from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, SightingSources
+from fg_gcs.flight.sightings.sighting_sources import SIMULATED_ENDPOINT, SightingSources, Substitutes
 from fg_gcs.link.clock import VirtualTimeLoop, make_loop
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.mission.model import DEFAULT_ORIGIN
@@ -50,7 +50,10 @@ class Station:
         self.arrived_s: list[float] = []
         self.refused: dict[Verdict, int] = {}
         self.truth: Array | None = None
-        self.sources = SightingSources(mission.targets or [], self._take, self._refuse)
+        self.failures: list[str] = []
+        self.sources = SightingSources(
+            mission.targets or [], self._take, self._refuse, Substitutes(), self.failures.append
+        )
 
     def _take(self, sighting: Sighting) -> None:
         self.seen.append(sighting)
@@ -209,7 +212,9 @@ def test_a_callback_may_close_its_source(tmp_path: Path) -> None:
             seen.append(sighting)
             sources.close()
 
-        sources = SightingSources(mission_of(tmp_path, SCRIPT).targets or [], take, lambda verdict, count: None)
+        sources = SightingSources(
+            mission_of(tmp_path, SCRIPT).targets or [], take, lambda verdict, count: None, Substitutes(), print
+        )
         await sources.open()
         sources.begin(DEFAULT_ORIGIN)
         await asyncio.sleep(5.0)
@@ -326,11 +331,11 @@ def test_a_port_that_is_taken_is_said_and_nothing_stays_open(tmp_path: Path) -> 
     async def main() -> None:
         loop = asyncio.get_running_loop()
         taken, _ = await loop.create_datagram_endpoint(asyncio.DatagramProtocol, local_addr=("127.0.0.1", PORT + 1))
-        sources = SightingSources(targets, lambda sighting: None, lambda verdict, count: None)
+        sources = SightingSources(targets, lambda sighting: None, lambda verdict, count: None, Substitutes(), print)
         with pytest.raises(LinkError, match=f"port {PORT + 1} is in use"):
             await sources.open()
         taken.close()
-        again = SightingSources(targets, lambda sighting: None, lambda verdict, count: None)
+        again = SightingSources(targets, lambda sighting: None, lambda verdict, count: None, Substitutes(), print)
         await again.open()
         again.close()
 
@@ -352,7 +357,9 @@ def test_a_simulator_process_is_seen_and_its_end_is_mere_silence(tmp_path: Path)
                 enough.set()
 
         endpoint = f"udpin:127.0.0.1:{port}"
-        sources = SightingSources(mission.targets or [], take, lambda verdict, count: None, endpoint)
+        sources = SightingSources(
+            mission.targets or [], take, lambda verdict, count: None, Substitutes(endpoint), print
+        )
         await sources.open()
         try:
             sources.begin(mission.origin_geodetic())

@@ -3,19 +3,36 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Sequence
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
+from fg_gcs.flight.sightings.own_source import OwnSightings
 from fg_gcs.flight.sightings.sources import DatagramSource, OnRefused, OnSighting, SightingSource, TimedSource
 from fg_gcs.flight.sightings.vehicle_source import VehicleReportSource
 from fg_gcs.mission.target_tables import CsvSource, MovingTarget, ScriptSource, UdpSource, VehicleSource
+from fg_gcs.scenario.motions import TrueMotion
 from fg_gcs.scenario.sensor import Measurement, Sensor
 
 SIMULATED_ENDPOINT: Final = "udpin:127.0.0.1:14560"  # beside 14550, where the swarm comes
+
+
+class Substitutes(NamedTuple):
+    """What comes in the place of a mission's own sources, by the names of the targets.
+
+    Attributes:
+        simulated_endpoint: where simulated target vehicles come.
+        motions: true motions, behind the sensors that the mission describes.
+        sightings: sources of one's own.
+    """
+
+    simulated_endpoint: str = SIMULATED_ENDPOINT
+    motions: Mapping[str, TrueMotion] = MappingProxyType({})
+    sightings: Mapping[str, OwnSightings] = MappingProxyType({})
 
 
 class SightingSources:
@@ -30,7 +47,8 @@ class SightingSources:
         targets: the mission's.
         on_sighting: gets every sighting as it arrives; whether to believe it is not decided here.
         on_refused: gets reason and number of what arrived but was no sighting.
-        simulated_endpoint: where simulated target vehicles come.
+        substitutes: what comes in the place of the mission's sources.
+        on_failure: gets a line of text when a source of one's own fails.
 
     Raises:
         MissionError: a target's file cannot be read, or something in it is wrong.
@@ -41,25 +59,33 @@ class SightingSources:
         targets: Sequence[MovingTarget],
         on_sighting: OnSighting,
         on_refused: OnRefused,
-        simulated_endpoint: str = SIMULATED_ENDPOINT,
+        substitutes: Substitutes,
+        on_failure: Callable[[str], None],
     ) -> None:
         self.endpoints: dict[str, str] = {}
         self._sources: dict[str, SightingSource] = {}  # by target
         by_endpoint: dict[str, list[MovingTarget]] = {}
         for target in targets:
+            own_source, own_motion = substitutes.sightings.get(target.name), substitutes.motions.get(target.name)
+            if own_source is not None:
+                own_source.connect(target.name, on_sighting, on_failure)
+                self._sources[target.name] = own_source
+                continue
+            if own_motion is not None:
+                self._sources[target.name] = _scripted(target, own_motion, on_sighting)
+                continue
             match target.source:
                 case ScriptSource():
                     motion = target.true_motion()
                     assert motion is not None, "the loader refuses scripts without a motion"
-                    sensor = Sensor(target.name, target.sensor.settings(), target.sensor.seed)
-                    self._sources[target.name] = TimedSource(sensor.measurements(motion), on_sighting, motion)
+                    self._sources[target.name] = _scripted(target, motion, on_sighting)
                 case CsvSource():
                     self._sources[target.name] = TimedSource(_replayed(target), on_sighting, None)
                 case UdpSource(endpoint=endpoint):
                     self.endpoints[target.name] = endpoint
                     self._sources[target.name] = DatagramSource(target, endpoint, on_sighting, on_refused)
                 case VehicleSource(endpoint=own):
-                    self.endpoints[target.name] = own or simulated_endpoint
+                    self.endpoints[target.name] = own or substitutes.simulated_endpoint
                     by_endpoint.setdefault(self.endpoints[target.name], []).append(target)
         for endpoint, vehicles in by_endpoint.items():
             source = VehicleReportSource(vehicles, endpoint, on_sighting, on_refused)
@@ -113,6 +139,12 @@ class SightingSources:
 
     def _every(self) -> list[SightingSource]:
         return list(dict.fromkeys(self._sources.values()))
+
+
+def _scripted(target: MovingTarget, motion: TrueMotion, on_sighting: OnSighting) -> TimedSource:
+    """Return the source of a target that moves so, seen by the sensor that the mission describes."""
+    sensor = Sensor(target.name, target.sensor.settings(), target.sensor.seed)
+    return TimedSource(sensor.measurements(motion), on_sighting, motion)
 
 
 def _replayed(target: MovingTarget) -> Iterator[Measurement]:
