@@ -67,9 +67,10 @@ def _add_fly(commands: Commands) -> None:
     fly.add_argument(
         "--connect",
         action="append",
-        metavar="ENDPOINT",
+        metavar="[NAME=]ENDPOINT",
         help="fly vehicles found here instead of starting the simulator: udpin:HOST:PORT, udpout:HOST:PORT or "
-        "tcp:HOST:PORT; repeat for more",
+        "tcp:HOST:PORT; repeat for more; NAME=ENDPOINT puts it into a network of that name, each of which has its own "
+        "system ids",
     )
     fly.add_argument(
         "--wait", type=_positive, default=30.0, metavar="S", help="for the first heartbeats (default: %(default)g s)"
@@ -146,8 +147,14 @@ def _add_bench(commands: Commands) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; with ``--json`` programs get their object whatever the code is."""
-    chosen = parser().parse_args(arguments)
     from fg_gcs.console.codes import ExitCode
+
+    try:
+        chosen = parser().parse_args(arguments)
+    except SystemExit as ended:  # usage, which argparse has told already; or --help
+        if ended.code and "--json" in (sys.argv[1:] if arguments is None else arguments):
+            _ended(argparse.Namespace(json=True), ExitCode.BAD_INPUT, "usage")
+        raise
     from fg_gcs.errors import FgError, LinkError
 
     try:
@@ -212,7 +219,9 @@ def _fly(chosen: argparse.Namespace) -> int:
     from fg_gcs.console.fly import Manner, fly
     from fg_gcs.run.flying import FlyOptions
 
-    options = FlyOptions(tuple(chosen.connect or ()), chosen.wait, chosen.autopilot, chosen.logs)
+    options = FlyOptions(
+        connect=tuple(chosen.connect or ()), wait_s=chosen.wait, autopilot=chosen.autopilot, logs=chosen.logs
+    )
     manner = Manner(chosen.speed, chosen.json)
     codes = (fly(path, options, manner) for path in chosen.missions)
     return next((code for code in codes if code is not ExitCode.DONE), ExitCode.DONE)

@@ -49,6 +49,15 @@ class VehicleSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
+class FormationSnapshot:
+    """The face of the formation, once its leaders are known and where all of them are."""
+
+    leaders: tuple[int, ...]  # places in `Snapshot.vehicles`, in the order in which they stand around the face
+    centre_enu_m: Vector  # mean of the leaders' positions
+    normal_enu: Vector  # unit normal, which looks at the target
+
+
+@dataclass(frozen=True, slots=True)
 class TargetSnapshot:
     """What is known of all targets together; of a target at rest what the mission says."""
 
@@ -104,6 +113,7 @@ class Snapshot:
     stage_ends_s: float | None  # where that is known
     networks: int
     vehicles: tuple[VehicleSnapshot, ...]
+    formation: FormationSnapshot | None
     target: TargetSnapshot | None
     tracking: TrackingSnapshot | None  # None while nothing is tracked
     tracks: bool  # the mission has moving targets, so that there will be something to say about tracking
@@ -132,6 +142,7 @@ def from_json(line: str | bytes) -> Snapshot:
             | {
                 "stages": tuple(found["stages"]),
                 "vehicles": tuple(_read(VehicleSnapshot, each) for each in found["vehicles"]),
+                "formation": None if found["formation"] is None else _read(FormationSnapshot, found["formation"]),
                 "target": None if found["target"] is None else _read(TargetSnapshot, found["target"]),
                 "tracking": None if found["tracking"] is None else _read(TrackingSnapshot, found["tracking"]),
                 "counters": _read(CounterSnapshot, found["counters"]),

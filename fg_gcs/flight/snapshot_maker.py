@@ -6,10 +6,13 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, Final, Protocol
 
+import numpy as np
+
 from fg_gcs.core.frames import rotate_ned_enu
 from fg_gcs.flight.journal import STAGES
 from fg_gcs.flight.snapshot import (
     CounterSnapshot,
+    FormationSnapshot,
     RunEvent,
     Snapshot,
     TargetSnapshot,
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
 MOST_HZ: Final = 25.0  # a picture shows no more; each costs some tenths of a millisecond that the streamer shares
 MOST_EVENTS: Final = 1000  # kept for the next snapshot; more in a twenty-fifth of a second are a flood
 ROUNDING_S: Final = 1e-6  # of a time: half a period of the stream is not to be lost to it
+TINY_M2: Final = 1e-12  # of vehicles that stand in a line: a face without an area has no normal
 ALARMING: Final = frozenset({Phase.LOST, Phase.TAKEN})
 
 
@@ -97,6 +101,7 @@ class SnapshotMaker:
             stage_ends_s=None if journal.stage_ends_s is None else since_start_s(journal.stage_ends_s),
             networks=len(director.networks),
             vehicles=() if fleet is None else self._vehicles(now_s),
+            formation=self._formation(),
             target=self._target(now_s),
             tracking=self._tracking(),
             tracks=director.mission.targets is not None,
@@ -139,6 +144,24 @@ class SnapshotMaker:
             height_m=known(vehicle.height_m),
             speed_m_s=known(speed_m_s),
             battery=known(vehicle.battery.remaining),
+        )
+
+    def _formation(self) -> FormationSnapshot | None:
+        plan, fleet = self._director.result.plan, self._director.fleet
+        if plan is None or fleet is None:
+            return None
+        places = [fleet.position_enu_m(fleet.vehicles[row]) for row in plan.rim_of]
+        rim = np.array([place for place in places if place is not None])
+        if len(rim) < len(places):
+            return None
+        twice_area = np.cross(rim, np.roll(rim, -1, axis=0)).sum(
+            axis=0
+        )  # along the normal, whatever the polygon's shape
+        centre, normal = vector(rim.mean(axis=0)), vector(twice_area / max(float(np.linalg.norm(twice_area)), TINY_M2))
+        return (
+            None
+            if centre is None or normal is None
+            else FormationSnapshot(tuple(map(int, plan.rim_of)), centre, normal)
         )
 
     def _target(self, now_s: float) -> TargetSnapshot | None:

@@ -212,7 +212,7 @@ def vehicle(system_id: int, *, lost: bool) -> VehicleSnapshot:
 
 def snapshot_of(tracking: TrackingSnapshot | None) -> Snapshot:
     counters = CounterSnapshot(0, 0, 0, 0, 0, 0, 0, 0, 0)
-    return Snapshot(0, 1.0, "", "approach", ("approach",), 0.0, None, 1, (), None, tracking, True, counters, ())
+    return Snapshot(0, 1.0, "", "approach", ("approach",), 0.0, None, 1, (), None, None, tracking, True, counters, ())
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 8, 40, 250])

@@ -121,6 +121,12 @@ def test_snapshots_tell_the_flight_in_order_and_survive_the_wire(tmp_path: Path)
     assert tracked
     for snapshot in (taken[0], tracked[0], taken[-1]):
         assert from_json(snapshot.to_json()) == snapshot
+    face, target = tracked[-1].formation, tracked[-1].target
+    assert face is not None
+    assert target is not None
+    assert len(face.leaders) == 3
+    assert np.dot(face.normal_enu, np.subtract(target.position_enu_m, face.centre_enu_m)) > -1.5  # behind it by less
+    assert np.linalg.norm(face.normal_enu) == pytest.approx(1.0)
     first = tracked[0].vehicles[0]
     assert first.setpoint_enu_m is not None
     assert first.position_enu_m is not None
