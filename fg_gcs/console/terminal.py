@@ -47,6 +47,7 @@ SHOWN = {  # kinds of events for people, with their colours; the rest is for the
     "abort": "bold red",
     "track": "cyan",
     "refused": "yellow",
+    "recording": "bold red",
     "warning": "yellow",
     "error": "bold red",
 }
@@ -229,6 +230,8 @@ def _formation(status: TrackingSnapshot, known: TargetSnapshot | None) -> Text:
         return Text(f"{what}{size}", "yellow")
     off = "-" if status.error_m is None else f"{status.error_m:.1f} m off"
     text = Text(f"{status.mode}, ", "cyan").append(off, "green" if status.caught else "yellow")
+    if known.too_wide:
+        text.append(", targets too wide to surround", "yellow")
     return text.append(size if status.caught else f"{size}, home in {status.patience_s:.0f} s unless caught", "default")
 
 

@@ -67,6 +67,7 @@ class TargetSnapshot:
     age_s: float  # since the newest sighting
     lost: tuple[str, ...]  # names
     unseen: tuple[str, ...]  # names of those that were never seen
+    too_wide: bool  # the ball is larger than the face may become, so that it need not hold all of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,33 +126,17 @@ class Snapshot:
         """Return it as one line of strict JSON."""
         return json.dumps(_plain(self), separators=(",", ":"), allow_nan=False)
 
+    @classmethod
+    def from_json(cls, line: str | bytes) -> Snapshot:
+        """Return the snapshot of a line; fields that this version does not know are passed over.
 
-def from_json(line: str | bytes) -> Snapshot:
-    """Return the snapshot of a line; fields that this version does not know are passed over.
-
-    Raises:
-        ValueError: it is no snapshot, or one of another version.
-    """
-    try:
-        found = json.loads(line)
-        if found["version"] != VERSION:
-            raise ValueError(f"a snapshot of version {found['version']}; this program reads version {VERSION}")
-        made: Snapshot = _read(
-            Snapshot,
-            found
-            | {
-                "stages": tuple(found["stages"]),
-                "vehicles": tuple(_read(VehicleSnapshot, each) for each in found["vehicles"]),
-                "formation": None if found["formation"] is None else _read(FormationSnapshot, found["formation"]),
-                "target": None if found["target"] is None else _read(TargetSnapshot, found["target"]),
-                "tracking": None if found["tracking"] is None else _read(TrackingSnapshot, found["tracking"]),
-                "counters": _read(CounterSnapshot, found["counters"]),
-                "events": tuple(RunEvent(*(each[name] for name in RunEvent._fields)) for each in found["events"]),
-            },
-        )
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"no snapshot: {error!r}") from error
-    return made
+        Raises:
+            ValueError: it is no snapshot, or one of another version.
+        """
+        try:
+            return _snapshot(json.loads(line))
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"no snapshot: {error!r}") from error
 
 
 def known(value: float | None) -> float | None:
@@ -186,3 +171,22 @@ def _read(kind: type[Any], found: dict[str, Any]) -> Any:  # noqa: ANN401 - of t
 
 def _tuples(value: object) -> object:
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def _snapshot(found: dict[str, Any]) -> Snapshot:
+    if found["version"] != VERSION:
+        raise ValueError(f"a snapshot of version {found['version']}; this program reads version {VERSION}")
+    made: Snapshot = _read(
+        Snapshot,
+        found
+        | {
+            "stages": tuple(found["stages"]),
+            "vehicles": tuple(_read(VehicleSnapshot, each) for each in found["vehicles"]),
+            "formation": None if found["formation"] is None else _read(FormationSnapshot, found["formation"]),
+            "target": None if found["target"] is None else _read(TargetSnapshot, found["target"]),
+            "tracking": None if found["tracking"] is None else _read(TrackingSnapshot, found["tracking"]),
+            "counters": _read(CounterSnapshot, found["counters"]),
+            "events": tuple(RunEvent(*(each[name] for name in RunEvent._fields)) for each in found["events"]),
+        },
+    )
+    return made

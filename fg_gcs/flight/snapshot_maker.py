@@ -169,7 +169,9 @@ class SnapshotMaker:
         if self._director.mission.targets is None:
             centre = self._director.mission.first_target()
             place = vector(centre.centre_enu_m.tolist())
-            return None if place is None else TargetSnapshot(place, (0.0, 0.0, 0.0), centre.radius_m, 0.0, (), ())
+            return (
+                None if place is None else TargetSnapshot(place, (0.0, 0.0, 0.0), centre.radius_m, 0.0, (), (), False)
+            )
         status = None if follower is None else follower.status
         estimate = None if status is None else status.known
         if estimate is None:
@@ -178,7 +180,13 @@ class SnapshotMaker:
         if place is None or velocity is None:
             return None
         return TargetSnapshot(
-            place, velocity, known(estimate.radius_m) or 0.0, estimate.age_s, estimate.lost, estimate.unseen
+            place,
+            velocity,
+            known(estimate.radius_m) or 0.0,
+            estimate.age_s,
+            estimate.lost,
+            estimate.unseen,
+            estimate.bounded,
         )
 
     def _tracking(self) -> TrackingSnapshot | None:

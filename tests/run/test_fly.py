@@ -12,7 +12,6 @@ import pytest
 
 from fg_gcs.errors import LinkError, PlanError
 from fg_gcs.flight.director import Director
-from fg_gcs.flight.snapshot import from_json
 from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.run import (
     FlyOptions,
@@ -120,7 +119,7 @@ def test_snapshots_tell_the_flight_in_order_and_survive_the_wire(tmp_path: Path)
     tracked = [snapshot for snapshot in taken if snapshot.tracking is not None and snapshot.tracking.caught]
     assert tracked
     for snapshot in (taken[0], tracked[0], taken[-1]):
-        assert from_json(snapshot.to_json()) == snapshot
+        assert Snapshot.from_json(snapshot.to_json()) == snapshot
     face, target = tracked[-1].formation, tracked[-1].target
     assert face is not None
     assert target is not None
@@ -151,7 +150,7 @@ def test_an_observer_that_fails_is_told_of_once_and_hears_no_more(tmp_path: Path
 @pytest.mark.parametrize("line", [b"", b"{}", b"[]", b"null", b'{"version": 2}', b"\xff", b'{"version": 1}'])
 def test_what_is_no_snapshot_is_refused(line: bytes) -> None:
     with pytest.raises(ValueError):  # noqa: PT011 # of several kinds
-        from_json(line)
+        Snapshot.from_json(line)
 
 
 def test_a_flight_that_is_stopped_is_aborted_and_in_order(tmp_path: Path) -> None:
