@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.record.write.layouts import NETWORK
 from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.wire.address import MAIN
 
 BUDGET = 0.03  # of a core
 TICK_HZ = 50  # rounds of setpoints
@@ -54,11 +54,11 @@ def record_bench(vehicles: int = 9, flight_s: float = 60.0) -> RecordingFigures:
                 numbers = (1.0 + now_s, 2.0 - now_s, 3.0, 0.1, 0.2, 0.3)
                 for system_id in range(1, vehicles + 1):
                     recorder.frame(setpoint, now_s)
-                    recorder.setpoints.append((now_s, NETWORK, system_id, *numbers, 0.4, 0.5, 0.6, 0.7))
+                    recorder.setpoints.append((now_s, MAIN, system_id, *numbers, 0.4, 0.5, 0.6, 0.7))
                     frames += 1
                     if k % TELEMETRY_EVERY == 0:
                         recorder.frame(position, now_s)
-                        recorder.telemetry.append((now_s, NETWORK, system_id, *numbers, 0.7, now_s, 3.0))
+                        recorder.telemetry.append((now_s, MAIN, system_id, *numbers, 0.7, now_s, 3.0))
                         frames += 1
                     if k % OTHERS_EVERY == 0:
                         recorder.frame(other, now_s)

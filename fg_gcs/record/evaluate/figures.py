@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import coverage, flux_metric
 from fg_gcs.core.separation import closest_approach, smallest_over_time
+from fg_gcs.record.read.tables import rows_of, vehicles_in
 from fg_gcs.record.write.layouts import Columns
+from fg_gcs.wire.address import VehicleAddress
 
 ACCELERATION_SPAN_S = 0.1  # velocity differences over less drown in the millisecond stamps of the vehicles' clocks
 AIRBORNE_M = 0.3  # below this height a vehicle touches down or lifts off: ground contact is no flown acceleration
@@ -51,7 +53,7 @@ class Whereabouts:
 class Flown:
     """A flight's series on common instants, and per vehicle on its own samples."""
 
-    system_ids: Array  # (V,)
+    vehicles: tuple[VehicleAddress, ...]  # all V that were heard, ascending
     time_s: Array  # (T,) common instants from the first to the last that all vehicles share
     position_m: Array  # (T, V, 3) [m; ENU]
     separation_m: Array  # (T,) closest pair
@@ -63,18 +65,18 @@ class Flown:
     airborne: tuple[NDArray[np.bool_], ...]
     error_m: tuple[Array, ...]  # distance from the setpoint; NaN outside the planned stages
 
-    def places_m(self, system_ids: Sequence[int]) -> Array | None:
+    def places_m(self, vehicles: Sequence[VehicleAddress]) -> Array | None:
         """Return where these vehicles were, in this order, shape (T, N, 3) [m; ENU]; None unless all were heard."""
-        row_of = {int(system_id): row for row, system_id in enumerate(self.system_ids)}
-        rows = [row_of[system_id] for system_id in system_ids if system_id in row_of]
-        return self.position_m[:, rows] if len(rows) == len(system_ids) > 0 else None
+        row_of = {vehicle: row for row, vehicle in enumerate(self.vehicles)}
+        rows = [row_of[vehicle] for vehicle in vehicles if vehicle in row_of]
+        return self.position_m[:, rows] if len(rows) == len(vehicles) > 0 else None
 
 
 def flown(
     telemetry: Columns,
     setpoints: Columns,
     stages: Mapping[str, tuple[float, float]],
-    leaders: Sequence[int],
+    leaders: Sequence[VehicleAddress],
     target: Whereabouts,
 ) -> Flown | None:
     """Return the series of a flight, or None when the vehicles share no time in the tables, or far too much of it.
@@ -85,11 +87,11 @@ def flown(
         telemetry: columns of the telemetry table.
         setpoints: columns of the setpoint table.
         stages: begin and end of each stage of the flight [s].
-        leaders: system ids in the rim's winding order; fewer than 3 span no face.
+        leaders: in the rim's winding order; fewer than 3 span no face.
         target: what is surrounded.
     """
-    ids = np.unique(telemetry["system_id"])
-    tracks = [_rows(telemetry, i) for i in ids]
+    vehicles = vehicles_in(telemetry)
+    tracks = [_rows(telemetry, vehicle) for vehicle in vehicles]
     if not tracks or min(len(track["time_s"]) for track in tracks) < 2:
         return None
     begin = max(track["time_s"][0] for track in tracks)
@@ -100,17 +102,19 @@ def flown(
     position = np.stack([interpolated(time_s, t["time_s"], t["position_enu_m"]) for t in tracks], axis=1)
     nothing = np.full(len(time_s), np.nan)
     series = Flown(
-        system_ids=ids,
+        vehicles=vehicles,
         time_s=time_s,
         position_m=position,
-        separation_m=smallest_over_time(position) if len(ids) > 1 else nothing,
+        separation_m=smallest_over_time(position) if len(vehicles) > 1 else nothing,
         flux_metric=nothing,
         coverage=nothing,
         own_time_s=tuple(track["time_s"] for track in tracks),
         speed_m_s=tuple(np.linalg.norm(track["velocity_enu_m_s"], axis=1) for track in tracks),
         acceleration_m_s2=tuple(_acceleration(track) for track in tracks),
         airborne=tuple(track["height_m"] > AIRBORNE_M for track in tracks),
-        error_m=tuple(_errors(track, _rows(setpoints, i), stages) for track, i in zip(tracks, ids, strict=True)),
+        error_m=tuple(
+            _errors(track, _rows(setpoints, vehicle), stages) for track, vehicle in zip(tracks, vehicles, strict=True)
+        ),
     )
     rims = series.places_m(leaders)
     if rims is None or len(leaders) < 3:
@@ -142,13 +146,13 @@ def figures(
         result["flown_peak_acceleration_m_s2"] = float(known.max()) if len(known) else None
         result["tracking_rms_m"] = float(np.sqrt((errors[planned] ** 2).mean()))
         result["tracking_max_m"] = float(errors[planned].max())
-    if len(series.system_ids) > 1:
+    if len(series.vehicles) > 1:
         result["flown_min_separation_m"] = closest_approach(series.position_m, series.time_s).distance_m
     return result
 
 
-def _rows(columns: Columns, system_id: float) -> dict[str, Array]:
-    mine = columns["system_id"] == system_id
+def _rows(columns: Columns, vehicle: VehicleAddress) -> dict[str, Array]:
+    mine = rows_of(columns, vehicle)
     return {name: column[mine] for name, column in columns.items()}
 
 
@@ -183,8 +187,8 @@ def _errors(track: Columns, setpoints: Columns, stages: Mapping[str, tuple[float
 def _slowest_rate(setpoints: Columns) -> float | None:
     """Setpoints a second of the vehicle that was served worst [Hz]."""
     rates = []
-    for system_id in np.unique(setpoints["system_id"]):
-        times = setpoints["time_s"][setpoints["system_id"] == system_id]
+    for vehicle in vehicles_in(setpoints):
+        times = setpoints["time_s"][rows_of(setpoints, vehicle)]
         if len(times) > 1:
             rates.append((len(times) - 1) / (times[-1] - times[0]))
     return float(min(rates)) if rates else None

@@ -12,6 +12,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from fg_gcs.record.write.layouts import Columns, TableLayout
+from fg_gcs.wire.address import VehicleAddress
 
 MOST_S = 1e6  # since the start of a run: eleven days; a later time is none
 VERSION = (1, 0)  # of NumPy's format
@@ -22,6 +23,19 @@ class ReadTable(NamedTuple):
 
     columns: Columns
     remark: str | None
+
+
+def vehicles_in(columns: Columns) -> tuple[VehicleAddress, ...]:
+    """Return the vehicles that a table with networks and system ids has rows of, ascending."""
+    networks = np.unique(columns["network"]).tolist()
+    ids = {name: np.unique(columns["system_id"][columns["network"] == name]).tolist() for name in networks}
+    return tuple(VehicleAddress(name, system_id) for name in networks for system_id in ids[name])
+
+
+def rows_of(columns: Columns, vehicle: VehicleAddress) -> NDArray[np.bool_]:
+    """Return which rows of such a table are a vehicle's, shape (rows,)."""
+    rows: NDArray[np.bool_] = (columns["system_id"] == vehicle.system_id) & (columns["network"] == vehicle.network)
+    return rows
 
 
 def read_table(path: Path, layout: TableLayout) -> ReadTable:

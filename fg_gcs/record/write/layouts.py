@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 Columns = Mapping[str, NDArray[Any]]  # by name, each of shape (rows,) or (rows, width)
 
-NETWORK = "main"  # of the vehicles; a vehicle's address is its network and its system id there
 MAGIC = b"\x93NUMPY\x01\x00"
 DIGITS = 20  # room for the number of rows
 ALIGNMENT = 64  # of the first row, as NumPy writes it
