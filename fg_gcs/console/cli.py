@@ -141,9 +141,17 @@ def _add_bench(commands: Commands) -> None:
         metavar="N",
         help="random flights at once, a process each (default: %(default)s)",
     )
-    track.add_argument(
-        "--missions", type=Path, default=Path("missions"), metavar="DIR", help="mission files (default: %(default)s)"
+    record.add_argument(
+        "--hour", action="store_true", help="how memory grows in an hour of virtual flight instead: takes minutes"
     )
+    for each in (track, record):
+        each.add_argument(
+            "--missions",
+            type=Path,
+            default=Path("missions"),
+            metavar="DIR",
+            help="mission files (default: %(default)s)",
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -7,8 +7,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from pymavlink.dialects.v20 import all as dialect
-
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN
 
@@ -18,6 +16,7 @@ TELEMETRY_EVERY = 2  # rounds: 25 Hz of positions
 OTHERS_EVERY = 2  # rounds: a vehicle's other messages, some 36 a second together with heartbeats
 FLUSH_EVERY = 10  # rounds: five times a second, as a flight does it
 REPLANS_HZ = 10
+POSITION_BYTES, OTHER_BYTES, SETPOINT_BYTES = 40, 40, 65  # of frames: LOCAL_POSITION_NED, ATTITUDE and our setpoint
 
 
 class RecordingFigures(NamedTuple):
@@ -44,7 +43,7 @@ def record_bench(cpu_time: Callable[[], float], vehicles: int = 9, flight_s: flo
         flight_s: how long [s].
     """
     rounds = int(flight_s * TICK_HZ)
-    position, other, setpoint = _frames()
+    position, other, setpoint = bytes(POSITION_BYTES), bytes(OTHER_BYTES), bytes(SETPOINT_BYTES)
     frames = 0
     with TemporaryDirectory(prefix="fg-gcs-bench-") as place:
         folder = Path(place)
@@ -77,15 +76,3 @@ def record_bench(cpu_time: Callable[[], float], vehicles: int = 9, flight_s: flo
         cpu_s = cpu_time() - began_s
         size = sum(path.stat().st_size for path in folder.iterdir())
     return RecordingFigures(vehicles, flight_s, cpu_s, cpu_s / flight_s, BUDGET, size / flight_s, frames / flight_s)
-
-
-def _frames() -> tuple[bytes, bytes, bytes]:
-    """Return a position, another message of a vehicle and a setpoint, as they travel."""
-    packer = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
-    position = dialect.MAVLink_local_position_ned_message(1000, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
-    other = dialect.MAVLink_attitude_message(1000, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-    setpoint = dialect.MAVLink_set_position_target_local_ned_message(
-        1000, 1, 1, 1, 0, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.0
-    )
-    first, second, third = (bytes(message.pack(packer)) for message in (position, other, setpoint))
-    return first, second, third

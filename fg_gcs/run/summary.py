@@ -66,7 +66,7 @@ def _tracking_keys(result: FlightResult, recorder: Recorder) -> dict[str, object
         keys["capture_time_s"] = caught_s - began_s
     rejected = {verdict.name.lower(): count for verdict, count in tracking.refused.items()}
     return keys | {
-        "replans": len(tracking.planning_s),
+        "replans": tracking.planned,
         "replans_late": tracking.late,
         "sightings": tracking.sightings,
         "sightings_rejected": rejected,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +29,14 @@ FLOWN_KEYS = (
     "setpoint_rate_hz",
     "setpoint_late_p99_ms",
 )
+BLOCK = 10_000  # instants whose faces are measured together: some megabytes of work space, however long the flight
+TRACK = (
+    "time_s",
+    "position_enu_m",
+    "velocity_enu_m_s",
+    "boot_time_s",
+    "height_m",
+)  # what is wanted of a vehicle's rows
 PLANNED_STAGES = ("gather", "approach", "hold", "home")
 
 
@@ -91,15 +99,22 @@ def flown(
         target: what is surrounded.
     """
     vehicles = vehicles_in(telemetry)
-    tracks = [_rows(telemetry, vehicle) for vehicle in vehicles]
-    if not tracks or min(len(track["time_s"]) for track in tracks) < 2:
+    times = [telemetry["time_s"][rows_of(telemetry, vehicle)] for vehicle in vehicles]
+    if not times or min(map(len, times)) < 2:
         return None
-    begin = max(track["time_s"][0] for track in tracks)
-    end = min(track["time_s"][-1] for track in tracks)
-    if end <= begin or (end - begin) * GRID_HZ * len(tracks) > MOST_SAMPLES:
+    begin, end = max(own_s[0] for own_s in times), min(own_s[-1] for own_s in times)
+    if end <= begin or (end - begin) * GRID_HZ * len(times) > MOST_SAMPLES:
         return None
     time_s = np.arange(begin, end, 1.0 / GRID_HZ)
-    position = np.stack([interpolated(time_s, t["time_s"], t["position_enu_m"]) for t in tracks], axis=1)
+    position = np.empty((len(time_s), len(vehicles), 3))
+    speeds, accelerations, airborne, errors = [], [], [], []
+    for row, vehicle in enumerate(vehicles):  # one after the other: an hour of one is some megabytes
+        track = _rows(telemetry, vehicle, TRACK)
+        position[:, row] = interpolated(time_s, track["time_s"], track["position_enu_m"])
+        speeds.append(np.linalg.norm(track["velocity_enu_m_s"], axis=1))
+        accelerations.append(_acceleration(track))
+        airborne.append(track["height_m"] > AIRBORNE_M)
+        errors.append(_errors(track, _rows(setpoints, vehicle, ("time_s", "position_enu_m")), stages))
     nothing = np.full(len(time_s), np.nan)
     series = Flown(
         vehicles=vehicles,
@@ -108,19 +123,23 @@ def flown(
         separation_m=smallest_over_time(position) if len(vehicles) > 1 else nothing,
         flux_metric=nothing,
         coverage=nothing,
-        own_time_s=tuple(track["time_s"] for track in tracks),
-        speed_m_s=tuple(np.linalg.norm(track["velocity_enu_m_s"], axis=1) for track in tracks),
-        acceleration_m_s2=tuple(_acceleration(track) for track in tracks),
-        airborne=tuple(track["height_m"] > AIRBORNE_M for track in tracks),
-        error_m=tuple(
-            _errors(track, _rows(setpoints, vehicle), stages) for track, vehicle in zip(tracks, vehicles, strict=True)
-        ),
+        own_time_s=tuple(times),
+        speed_m_s=tuple(speeds),
+        acceleration_m_s2=tuple(accelerations),
+        airborne=tuple(airborne),
+        error_m=tuple(errors),
     )
     rims = series.places_m(leaders)
     if rims is None or len(leaders) < 3:
         return series
     there = target.at(time_s)
-    return replace(series, flux_metric=flux_metric(rims, there), coverage=coverage(rims, there))
+    return replace(series, flux_metric=_in_blocks(flux_metric, rims, there), coverage=_in_blocks(coverage, rims, there))
+
+
+def _in_blocks(measure: Callable[[Array, Array], Array], rims_enu_m: Array, target_enu_m: Array) -> Array:
+    """Measure faces over time, (T, N, 3) and (T, 3) to (T,), some at a time."""
+    starts = range(0, len(rims_enu_m), BLOCK)
+    return np.concatenate([measure(rims_enu_m[k : k + BLOCK], target_enu_m[k : k + BLOCK]) for k in starts])
 
 
 def figures(
@@ -151,9 +170,9 @@ def figures(
     return result
 
 
-def _rows(columns: Columns, vehicle: VehicleAddress) -> dict[str, Array]:
+def _rows(columns: Columns, vehicle: VehicleAddress, names: Sequence[str]) -> dict[str, Array]:
     mine = rows_of(columns, vehicle)
-    return {name: column[mine] for name, column in columns.items()}
+    return {name: columns[name][mine] for name in names}
 
 
 def interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
