@@ -7,11 +7,15 @@ import json
 import sys
 import time
 from dataclasses import asdict
+from pathlib import Path
 
 from fg_gcs.console.codes import ExitCode
 from fg_gcs.console.experiment import show, tell
+from fg_gcs.errors import MissionError
 from fg_gcs.experiment.bench import PlanBench, bench_plan
-from fg_gcs.experiment.tables import ResultTable
+from fg_gcs.experiment.memory_bench import memory_bench
+from fg_gcs.experiment.record_bench import record_bench
+from fg_gcs.experiment.tables import Column, ResultTable
 from fg_gcs.experiment.track_bench import COLUMNS, TEXT, Size, fly_once, measure
 from fg_gcs.record.write.recorder import plain
 
@@ -23,7 +27,13 @@ def run(chosen: argparse.Namespace) -> ExitCode:
         PlanError: a scene, or a mission, has no plan.
         MissionError: a mission file is missing or wrong.
     """
-    figures = _track(chosen) if chosen.what == "track" else _plan()
+    match chosen.what:
+        case "track":
+            figures = _track(chosen)
+        case "record":
+            figures = _memory(chosen.missions) if chosen.hour else _record()
+        case _:
+            figures = _plan()
     if chosen.json:
         print(json.dumps(plain(figures)), flush=True)
     return ExitCode.DONE
@@ -40,6 +50,40 @@ def _track(chosen: argparse.Namespace) -> dict[str, object]:
     figures, rows = measure(chosen.missions, size, fly_once, time.perf_counter, tell)
     show(ResultTable("track", "Tracking", TEXT, COLUMNS, rows))
     return figures
+
+
+def _record() -> dict[str, object]:
+    made = record_bench(time.process_time)
+    met = made.share <= made.budget
+    columns = Column("figure"), Column("required"), Column("measured", 3), Column("met")
+    rows = (
+        ("share of a core [%]", f"<= {100.0 * made.budget:g}", 100.0 * made.share, "yes" if met else "NO"),
+        ("frames of both directions [1/s]", None, made.frames_hz, None),
+        ("written [kB/s]", None, 1e-3 * made.bytes_s, None),
+    )
+    text = f"A made-up flight of {made.vehicles} vehicles at full rates, {made.flight_s:g} s long."
+    show(ResultTable("record", f"Recording {made.vehicles} vehicles at full rates", text, columns, rows))
+    return made._asdict() | {"met": met}
+
+
+def _memory(missions: Path) -> dict[str, object]:
+    path = missions / "circle.toml"
+    try:
+        text = path.read_text()
+    except OSError as error:
+        raise MissionError(f"{path}: {error.strerror or error}") from error
+    tell(f"flying {path} for an hour in virtual time; that takes some minutes ...")
+    made = memory_bench(text)
+    met = made.growth_mb <= made.budget_mb
+    columns = Column("figure"), Column("required"), Column("measured", 1), Column("met")
+    rows = (
+        ("growth after the first minute [MB]", f"<= {made.budget_mb:g}", made.growth_mb, "yes" if met else "NO"),
+        ("memory after the first minute [MB]", None, made.first_minute_mb, None),
+        ("evaluation after the landing [MB]", None, made.evaluation_mb, None),
+    )
+    text = f"{made.vehicles} vehicles, {made.flight_s:g} s in virtual time; the simulator in the same process."
+    show(ResultTable("memory", f"Memory of a flight of {made.vehicles} vehicles", text, columns, rows))
+    return made._asdict() | {"met": met}
 
 
 def _words(figures: PlanBench) -> str:

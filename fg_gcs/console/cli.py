@@ -27,6 +27,7 @@ examples:
   fg-gcs experiment all                              the paper's tables and figures anew, into docs/
   fg-gcs bench plan --json                           the planner against the paper's way
   fg-gcs bench track --flights 20 --jobs 2           moving targets and what is required; 20 random flights besides
+  fg-gcs bench record                                what recording nine vehicles takes of a core
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
 exit codes: 0 done, 1 the flight was aborted safely, 2 bad input, 3 no vehicle answered, 4 internal error,
@@ -125,7 +126,8 @@ def _add_bench(commands: Commands) -> None:
     whats = bench.add_subparsers(dest="what", metavar="WHAT", required=True)
     plan = whats.add_parser("plan", help="the planner against the paper's way, as ratios side by side in one run")
     track = whats.add_parser("track", help="whole flights after moving targets beside what is required of them")
-    for each in (plan, track):
+    record = whats.add_parser("record", help="what recording nine vehicles at full rates takes of a core")
+    for each in (plan, track, record):
         each.add_argument("--json", action="store_true", help="print one JSON object, the last line of stdout")
     track.add_argument(
         "--flights", type=_count, default=0, metavar="N", help="fly N random missions besides (default: none)"
@@ -140,9 +142,17 @@ def _add_bench(commands: Commands) -> None:
         metavar="N",
         help="random flights at once, a process each (default: %(default)s)",
     )
-    track.add_argument(
-        "--missions", type=Path, default=Path("missions"), metavar="DIR", help="mission files (default: %(default)s)"
+    record.add_argument(
+        "--hour", action="store_true", help="how memory grows in an hour of virtual flight instead: takes minutes"
     )
+    for each in (track, record):
+        each.add_argument(
+            "--missions",
+            type=Path,
+            default=Path("missions"),
+            metavar="DIR",
+            help="mission files (default: %(default)s)",
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

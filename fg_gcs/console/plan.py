@@ -75,8 +75,8 @@ def tell_if_not_built(missions: Sequence[Mission]) -> None:
 
 def _words(planned: PlannedMission) -> str:
     name, made = str(planned.mission.path), planned.flight
-    figures, ids = made.figures, planned.mission.swarm.ids()
-    first, second = (ids[row] for row in made.separation.pair)
+    figures, pair = made.figures, planned.figures["min_separation_pair"]
+    assert isinstance(pair, list)
     sized = "" if figures.last_scale == 1.0 else f", formation at {figures.last_scale:.2f} times its size at the end"
     return "\n".join(
         (
@@ -88,7 +88,7 @@ def _words(planned: PlannedMission) -> str:
             f"{figures.coverage_min_after_facing:.3f} at least once it faces the target",
             f"  duration    {made.approach.duration_s:.2f} s; "
             f"at most {made.peaks.speed_m_s:.2f} m/s and {made.peaks.acceleration_m_s2:.2f} m/s^2",
-            f"  separation  {made.separation.distance_m:.2f} m at least (vehicles {first} and {second}), "
+            f"  separation  {made.separation.distance_m:.2f} m at least (vehicles {pair[0]} and {pair[1]}), "
             "on the whole flight",
             f"  planned in  {1e3 * (made.plan_time_s + made.timing_time_s):.1f} ms",
         )

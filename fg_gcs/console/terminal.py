@@ -20,7 +20,9 @@ from rich.text import Text
 
 from fg_gcs.flight.snapshot import RunEvent, Snapshot, TargetSnapshot, TrackingSnapshot, VehicleSnapshot
 from fg_gcs.mission import Mission
+from fg_gcs.record.read.summary import RunSummary
 from fg_gcs.run.observing import Observer
+from fg_gcs.wire.address import vehicles_named
 
 ON_THE_WAY = ("approach", "take-off", "land")  # stages whose end is not known, but that do not end at once
 REFRESH_S = 0.25  # four pictures a second read well; each costs some milliseconds that the streamer shares
@@ -299,7 +301,7 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
         if summary[key]:
             lines.append((name, f"{summary[key]} dropped"))
     if summary["lost_vehicles"]:
-        lines.append(("lost", f"vehicles {summary['lost_vehicles']}"))
+        lines.append(("lost", vehicles_named(RunSummary(summary).vehicles("lost_vehicles"))))
     return lines
 
 

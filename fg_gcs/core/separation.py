@@ -9,7 +9,7 @@ import numpy as np
 
 from fg_gcs.core.arrays import Array
 
-BLOCK_ELEMENTS = 2_000_000  # pairs times instants compared together: some 100 MB of work space, whatever the swarm
+BLOCK_ELEMENTS = 250_000  # pairs times instants compared together: some 20 MB of work space, whatever the swarm
 
 
 class Separation(NamedTuple):

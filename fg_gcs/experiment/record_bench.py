@@ -7,10 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from fg_gcs.record.write.layouts import NETWORK
 from fg_gcs.record.write.recorder import Recorder
-from fg_gcs.wire.framing import Sender, id_bytes
-from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
+from fg_gcs.wire.address import MAIN
 
 BUDGET = 0.03  # of a core
 TICK_HZ = 50  # rounds of setpoints
@@ -18,6 +16,7 @@ TELEMETRY_EVERY = 2  # rounds: 25 Hz of positions
 OTHERS_EVERY = 2  # rounds: a vehicle's other messages, some 36 a second together with heartbeats
 FLUSH_EVERY = 10  # rounds: five times a second, as a flight does it
 REPLANS_HZ = 10
+POSITION_BYTES, OTHER_BYTES, SETPOINT_BYTES = 40, 40, 65  # of frames: LOCAL_POSITION_NED, ATTITUDE and our setpoint
 
 
 class RecordingFigures(NamedTuple):
@@ -39,12 +38,12 @@ def record_bench(cpu_time: Callable[[], float], vehicles: int = 9, flight_s: flo
     sightings and replans, and a writer in its own thread, as in real time.
 
     Args:
-        cpu_time: returns the processor's time that this process has taken, all threads together [s].
+        cpu_time: returns what all threads of this process have computed so far [s].
         vehicles: how many.
         flight_s: how long [s].
     """
     rounds = int(flight_s * TICK_HZ)
-    position, other, setpoint = _frames()
+    position, other, setpoint = bytes(POSITION_BYTES), bytes(OTHER_BYTES), bytes(SETPOINT_BYTES)
     frames = 0
     with TemporaryDirectory(prefix="fg-gcs-bench-") as place:
         folder = Path(place)
@@ -55,11 +54,11 @@ def record_bench(cpu_time: Callable[[], float], vehicles: int = 9, flight_s: flo
                 numbers = (1.0 + now_s, 2.0 - now_s, 3.0, 0.1, 0.2, 0.3)
                 for system_id in range(1, vehicles + 1):
                     recorder.frame(setpoint, now_s)
-                    recorder.setpoints.append((now_s, NETWORK, system_id, *numbers, 0.4, 0.5, 0.6, 0.7))
+                    recorder.setpoints.append((now_s, MAIN, system_id, *numbers, 0.4, 0.5, 0.6, 0.7))
                     frames += 1
                     if k % TELEMETRY_EVERY == 0:
                         recorder.frame(position, now_s)
-                        recorder.telemetry.append((now_s, NETWORK, system_id, *numbers, 0.7, now_s, 3.0))
+                        recorder.telemetry.append((now_s, MAIN, system_id, *numbers, 0.7, now_s, 3.0))
                         frames += 1
                     if k % OTHERS_EVERY == 0:
                         recorder.frame(other, now_s)
@@ -77,11 +76,3 @@ def record_bench(cpu_time: Callable[[], float], vehicles: int = 9, flight_s: flo
         cpu_s = cpu_time() - began_s
         size = sum(path.stat().st_size for path in folder.iterdir())
     return RecordingFigures(vehicles, flight_s, cpu_s, cpu_s / flight_s, BUDGET, size / flight_s, frames / flight_s)
-
-
-def _frames() -> tuple[bytes, bytes, bytes]:
-    """Return a position, another message of a vehicle and a setpoint, as long as they are on the wire."""
-    vehicle, station = Sender(1, 1), Sender()
-    payload = bytes([255] * 28)  # as long as those of LOCAL_POSITION_NED and ATTITUDE
-    position, other = (vehicle.finish(id_bytes(kind), b"", payload) for kind in (32, 30))
-    return position, other, pack_setpoint(Setpoint((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.7), 1, station)

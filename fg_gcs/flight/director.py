@@ -110,7 +110,7 @@ class Director:
     @property
     def counters(self) -> Counters:
         """What went through the sockets so far."""
-        return Counters(*[0] * len(Counters._fields)) if self._router is None else self._router.counters
+        return Counters.none() if self._router is None else self._router.counters
 
     def wanted_enu_m(self, now_s: float) -> dict[int, Array]:
         """Return where vehicles are told to be, by the fleet's rows, each of shape (3,) [m; ENU]."""

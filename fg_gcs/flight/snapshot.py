@@ -46,6 +46,7 @@ class VehicleSnapshot:
     height_m: float | None  # above its own ground
     speed_m_s: float | None
     battery: float | None  # share left, 0 to 1
+    voltage_v: float | None  # of the battery
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,6 +144,7 @@ class SnapshotMaker:
             height_m=known(vehicle.height_m),
             speed_m_s=known(speed_m_s),
             battery=known(vehicle.battery.remaining),
+            voltage_v=known(vehicle.battery.voltage_v),
         )
 
     def _formation(self) -> FormationSnapshot | None:

@@ -14,7 +14,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.motions import FormationMotion, Gaze, Headings
-from fg_gcs.flight.planning import LATE_S, Planning
+from fg_gcs.flight.planning import LATE_S, Durations, Planning
 from fg_gcs.flight.sightings.sighting_sources import SightingSources, Substitutes
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.mission.model import SETPOINTS_HZ, Mission
@@ -52,7 +52,8 @@ class TrackingSummary(NamedTuple):
     began_s: float
     ended_s: float
     caught_s: float | None
-    planning_s: tuple[float, ...]  # durations of all replans by the stopwatch
+    planned: int  # replans that came to their end
+    planning_s: tuple[float, ...]  # their durations by the stopwatch; of very many a fair sample, see `Durations`
     late: int  # replans that took too long and were given up
     sightings: int  # all that came, whatever became of them
     refused: dict[Verdict, int]
@@ -116,7 +117,7 @@ class TargetFollower:
         self._latency_s = np.nan
         self._planning = Planning(streamer)
         self._told_late = False
-        self._planning_s: list[float] = []
+        self._durations = Durations()
         self._count = 0
         self._refusals: Counter[Verdict] = Counter()
         self._modes: set[FollowMode] = set()
@@ -223,10 +224,15 @@ class TargetFollower:
         if self._core is None:
             return None
         ended_s = self._time() if self._ended_s is None else self._ended_s
-        planning_s = tuple(self._planning_s)
-        late = self._planning.late
         return TrackingSummary(
-            self._began_s, ended_s, self.caught_s, planning_s, late, self._count, dict(self._refusals)
+            self._began_s,
+            ended_s,
+            self.caught_s,
+            self._durations.count,
+            self._durations.kept_s,
+            self._planning.late,
+            self._count,
+            dict(self._refusals),
         )
 
     def give_up_reason(self) -> str | None:
@@ -313,7 +319,7 @@ class TargetFollower:
             self._told_s = stamp_s, planned_s
         if self._streamer.due_s - sighted_s > self._streamer.period_s:  # it had to let a round pass already
             self._streamer.send_now()
-        self._planning_s.append(self._stopwatch() - began_s)
+        self._durations.add(self._stopwatch() - began_s)
         self._write(replan, known, (now_s, sighted_s, planned_s), core.error_m(now_s))
         self._tell(replan.mode, known)
         if not was_caught and core.caught_s is not None:

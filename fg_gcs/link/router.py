@@ -55,6 +55,11 @@ class Counters(NamedTuple):
     clashes: int
     errors: int
 
+    @classmethod
+    def none(cls) -> Self:
+        """Return those of a router that never opened."""
+        return cls(*[0] * len(cls._fields))
+
 
 @dataclass(slots=True, eq=False)
 class Peer:

@@ -11,6 +11,7 @@ from fg_gcs.errors import PlanError
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
+from fg_gcs.wire.address import MAIN, VehicleAddress
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,6 @@ def plan(mission: Mission) -> PlannedMission:
         made = compile_flight(task, mission.tops_enu_m(), time.perf_counter)
     except PlanError as error:
         raise PlanError(f"{mission.path}: {error}") from error
-    return PlannedMission(
-        mission, task, made, {"mission": str(mission.path), **plan_figures(mission.swarm.ids(), made)}
-    )
+    several = len(mission.networks or {}) > 1
+    labels = [VehicleAddress(name if several and name else MAIN, i).label for name, i in mission.swarm.members()]
+    return PlannedMission(mission, task, made, {"mission": str(mission.path), **plan_figures(labels, made)})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fg_gcs.flight.director import FlightResult
+from fg_gcs.link.router import Counters
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import plan_figures
 from fg_gcs.record.evaluate.evaluation import flown_figures
@@ -25,7 +26,7 @@ def summary_of(mission: Mission, result: FlightResult, recorder: Recorder, reaso
     if result.plan is not None:
         summary |= plan_figures(labels, result.plan)
     limits = None if result.task is None else result.task.rules.limits
-    counters = result.counters
+    counters = result.counters or Counters.none()
     summary |= {"completed": result.completed, "reason": reason, "vehicles_landed": result.vehicles_landed}
     target_enu_m = mission.first_target().centre_enu_m.tolist()
     recorder.know(target_enu_m=target_enu_m, stages=result.stages)
@@ -36,10 +37,7 @@ def summary_of(mission: Mission, result: FlightResult, recorder: Recorder, reaso
         "late_ticks": result.late_ticks,
         "lost_vehicles": [vehicle.label for vehicle in result.lost],
         "vehicles_not_down": [vehicle.label for vehicle in result.not_down],
-        "bad_bytes": counters.bad_bytes if counters else 0,
-        "unknown_messages": counters.unknown_messages if counters else 0,
-        "frames_in": counters.frames_in if counters else 0,
-        "frames_out": counters.frames_out if counters else 0,
+        **counters._asdict(),
         "limits": None if limits is None else vars(limits),
         "separation_m": mission.limits.separation_m,
         "target_enu_m": target_enu_m,
@@ -68,7 +66,7 @@ def _tracking_keys(result: FlightResult, recorder: Recorder) -> dict[str, object
         keys["capture_time_s"] = caught_s - began_s
     rejected = {verdict.name.lower(): count for verdict, count in tracking.refused.items()}
     return keys | {
-        "replans": len(tracking.planning_s),
+        "replans": tracking.planned,
         "replans_late": tracking.late,
         "sightings": tracking.sightings,
         "sightings_rejected": rejected,

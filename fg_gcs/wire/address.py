@@ -1,7 +1,7 @@
 """Which vehicle: its network and its system id, since two networks may each have a vehicle 7."""
 
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 MAIN: Final = "main"  # the network without a name of its own, and the only one whatever its name: never shown
 
@@ -16,6 +16,16 @@ class VehicleAddress(NamedTuple):
 
     network: str
     system_id: int
+
+    @classmethod
+    def labelled(cls, label: int | str) -> Self:
+        """Return the vehicle that a label, or what ``str`` makes of an address, stands for.
+
+        Raises:
+            ValueError: it is no label.
+        """
+        network, _, system_id = str(label).rpartition("/")
+        return cls(network or MAIN, int(system_id))
 
     def __str__(self) -> str:
         return f"{self._prefix}{self.system_id}"

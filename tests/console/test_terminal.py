@@ -206,7 +206,7 @@ def test_without_a_moving_target_there_are_no_lines_for_one(tmp_path: Path) -> N
 def vehicle(system_id: int, *, lost: bool) -> VehicleSnapshot:
     phase = "lost" if lost else "discovered"
     return VehicleSnapshot(
-        MAIN, system_id, False, phase, lost, "", False, 0.0, None, None, None, None, None, None, None
+        MAIN, system_id, False, phase, lost, "", False, 0.0, None, None, None, None, None, None, None, None
     )
 
 

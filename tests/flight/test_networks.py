@@ -6,16 +6,21 @@ import asyncio
 import time
 from contextlib import AsyncExitStack
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist
 
 from fg_gcs.errors import LinkError, MissionError
 from fg_gcs.flight.director import Director, FlightResult, Setup
-from fg_gcs.link.clock import VirtualTimeLoop
+from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.link.endpoint import parse_networks
 from fg_gcs.mission import Mission
+from fg_gcs.record.evaluate.evaluation import evaluated
+from fg_gcs.record.report.report import write_report
 from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.run.summary import summary_of
 from fg_gcs.wire.address import VehicleAddress
 from sitl_mock.host.server import Simulator, SimulatorOptions
 from tests.flight.harness import SMALL, mission_of
@@ -27,13 +32,28 @@ NAMED = SMALL.replace("[formation]", IDS + TABLE + "[formation]")
 UNNAMED = SMALL.replace("[formation]", TABLE + "[formation]")
 
 
-def flown(folder: Path, mission: Mission, connect: tuple[str, ...] = ()) -> tuple[FlightResult, list[Simulator], str]:
+class Flown(NamedTuple):
+    result: FlightResult
+    summary: dict[str, object]
+    simulators: list[Simulator]
+    events: str
+    truth_separation_m: float  # closest pair in the simulators' own state
+
+
+def flown(folder: Path, mission: Mission, connect: tuple[str, ...] = ()) -> Flown:
     """Fly a mission with two vehicles in each of two networks, their system ids 1 and 2 in both."""
     pads = [(x, y) for x, y in mission.pads_enu_m().tolist()]
     places = {"east": pads[:2], "west": pads[2:]}
 
-    async def fly() -> tuple[FlightResult, list[Simulator]]:
-        simulators = []
+    async def fly() -> Flown:
+        simulators: list[Simulator] = []
+        closest_m: list[float] = []
+
+        async def watch() -> None:
+            async for _ in ticks(asyncio.get_running_loop().time(), 0.05):
+                places = np.concatenate([simulator.positions_enu_m for simulator in simulators])
+                closest_m.append(float(pdist(places).min()))
+
         async with AsyncExitStack() as stack:
             for name, port in PORTS.items():
                 options = SimulatorOptions(
@@ -46,17 +66,20 @@ def flown(folder: Path, mission: Mission, connect: tuple[str, ...] = ()) -> tupl
             setup = Setup(
                 parse_networks(connect or mission.connections()), 5.0, simulated=False, stopwatch=time.perf_counter
             )
-            recorder = stack.enter_context(Recorder(folder, "", asyncio.get_running_loop().time(), 0.0))
-            return await Director(mission, setup, recorder).fly(), simulators
+            recorder = stack.enter_context(Recorder(folder, mission.text, asyncio.get_running_loop().time(), 0.0))
+            watching = asyncio.create_task(watch())
+            stack.callback(watching.cancel)
+            result = await Director(mission, setup, recorder).fly()
+            summary = recorder.finish(summary_of(mission, result, recorder, result.reason))
+            return Flown(result, summary, simulators, (folder / "events.jsonl").read_text(), min(closest_m))
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        result, simulators = runner.run(fly())
-    return result, simulators, (folder / "events.jsonl").read_text()
+        return runner.run(fly())
 
 
 @pytest.mark.parametrize("text", [NAMED, UNNAMED])
 def test_two_networks_fly_one_mission(text: str, tmp_path: Path) -> None:
-    result, simulators, events = flown(tmp_path, mission_of(tmp_path, text))
+    result, _, simulators, events, _ = flown(tmp_path, mission_of(tmp_path, text))
     assert result.completed, result.reason
     assert result.vehicles == tuple(VehicleAddress(name, n) for name in ("east", "west") for n in (1, 2))
     assert result.vehicles_landed == 4
@@ -67,6 +90,36 @@ def test_two_networks_fly_one_mission(text: str, tmp_path: Path) -> None:
     for simulator in simulators:
         assert not simulator.armed.any()
         assert np.abs(simulator.positions_enu_m[:, 2]).max() < 0.1
+
+
+def test_equal_ids_of_two_networks_are_not_mixed_in_figures_and_report(tmp_path: Path) -> None:
+    mission = mission_of(tmp_path, NAMED)
+    flight = flown(tmp_path, mission)
+    summary = flight.summary
+    labels = [vehicle.label for vehicle in flight.result.vehicles]
+    assert labels == ["east/1", "east/2", "west/1", "west/2"]
+    for key, count in (("leader_ids", 3), ("min_separation_pair", 2)):
+        told = summary[key]
+        assert isinstance(told, list)
+        assert len(set(told) & set(labels)) == count
+    assert (summary["lost_vehicles"], summary["vehicles_not_down"]) == ([], [])
+    assert isinstance(summary["tracking_max_m"], float)
+    assert summary["tracking_max_m"] < 0.5
+    assert summary["flown_min_separation_m"] == pytest.approx(flight.truth_separation_m, abs=0.1)
+    assert summary["flown_flux_metric"] == pytest.approx(1.0, abs=0.05)
+    assert summary["setpoint_rate_hz"] == pytest.approx(mission.stream.rate_hz, rel=0.01)
+    run = evaluated(tmp_path)
+    assert run.remarks == ()
+    assert [leader.label for leader in run.leaders] == summary["leader_ids"]
+    assert run.series is not None
+    assert run.series.vehicles == flight.result.vehicles
+    written = write_report(tmp_path)
+    assert written.remarks == ()
+    page = written.path.read_text()
+    for vehicle in flight.result.vehicles:
+        what = "leader" if vehicle in run.leaders else "vehicle"
+        name = f"{what} {vehicle}".replace("/", "\\u002f")  # as JSON lies in a page
+        assert name in page
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fg_gcs.core.formation import Pose
-from fg_gcs.flight.planning import LATE_S, Planning
+from fg_gcs.flight.planning import LATE_S, Durations, Planning
 from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
 from fg_gcs.track.follow.replanner import FollowMode, Replan
@@ -107,3 +107,20 @@ def test_a_plan_that_nobody_wants_any_more_ends_at_once(tmp_path: Path) -> None:
         assert await own.result(iter(()), lambda: False) is None
 
     latest_s(tmp_path, change_the_mind)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 16, 17, 1000])
+def test_durations_are_all_kept_up_to_a_bound_and_evenly_thinned_beyond(count: int) -> None:
+    durations = Durations(most=8)
+    for duration_s in range(count):
+        durations.add(float(duration_s))
+    kept = durations.kept_s
+    assert durations.count == count
+    assert len(kept) <= 8
+    if count <= 8:
+        assert kept == tuple(map(float, range(count)))
+    else:
+        assert len(kept) > 4
+        (stride,) = set(np.diff(kept))
+        assert kept[0] == 0.0
+        assert count - kept[-1] <= stride

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.record.write.layouts import NETWORK, SETPOINTS, TELEMETRY, TICKS, Columns
+from fg_gcs.record.write.layouts import SETPOINTS, TELEMETRY, TICKS, Columns
 from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.wire.address import MAIN, VehicleAddress
 
 Row = Sequence[float | str]
 
@@ -80,6 +81,11 @@ SUMMARY: dict[str, object] = {
 }
 
 
+def main(*system_ids: int) -> tuple[VehicleAddress, ...]:
+    """Return the vehicles of the only network."""
+    return tuple(VehicleAddress(MAIN, system_id) for system_id in system_ids)
+
+
 class Circle:
     """Vehicles evenly spread on a circle, in a plane through the target that looks east."""
 
@@ -116,7 +122,7 @@ class Circle:
             position, velocity = self.at(vehicle, time_s)
             for k, now_s in enumerate(time_s.tolist()):
                 place = position[k].tolist()
-                row = (now_s, NETWORK, vehicle + 1, *place, *velocity[k].tolist(), 0.0, float(boot[k]), place[2])
+                row = (now_s, MAIN, vehicle + 1, *place, *velocity[k].tolist(), 0.0, float(boot[k]), place[2])
                 rows.append(row)
         return rows
 
@@ -128,7 +134,7 @@ class Circle:
             for k, now_s in enumerate(time_s.tolist()):
                 east, north, up = position[k].tolist()
                 place = east + offset_m, north, up
-                rows.append((now_s, NETWORK, vehicle + 1, *place, *velocity[k].tolist(), 0, 0, 0, 0))
+                rows.append((now_s, MAIN, vehicle + 1, *place, *velocity[k].tolist(), 0, 0, 0, 0))
         return rows
 
 
@@ -138,7 +144,7 @@ def instants(rate_hz: float = 50.0) -> Array:
 
 def told(system_id: int, time_s: float, *cells: float) -> Row:
     """A row of the setpoint table; what is not given is 0."""
-    return (time_s, NETWORK, system_id, *cells, *[0.0] * (10 - len(cells)))
+    return (time_s, MAIN, system_id, *cells, *[0.0] * (10 - len(cells)))
 
 
 def write_run(

@@ -17,7 +17,7 @@ from fg_gcs.record.write.recorder import SUMMARY
 RECORDING = """
 import sys, time
 from pathlib import Path
-from fg_gcs.record.write.layouts import NETWORK
+from fg_gcs.wire.address import MAIN
 from fg_gcs.record.write.recorder import Recorder
 start_s = time.monotonic()
 with Recorder(Path(sys.argv[1]), "", start_s, 1.7e9, in_thread=True) as recorder:
@@ -27,8 +27,8 @@ with Recorder(Path(sys.argv[1]), "", start_s, 1.7e9, in_thread=True) as recorder
         now_s = time.monotonic()
         time_s = recorder.since_start_s(now_s)
         for system_id in range(1, 10):
-            recorder.setpoints.append((time_s, NETWORK, system_id, *[float(k)] * 10))
-            recorder.telemetry.append((time_s, NETWORK, system_id, *[float(k)] * 9))
+            recorder.setpoints.append((time_s, MAIN, system_id, *[float(k)] * 10))
+            recorder.telemetry.append((time_s, MAIN, system_id, *[float(k)] * 9))
             recorder.frame(bytes(60), now_s)
             recorder.frame(bytes(60), now_s)
         if k % 10 == 0:

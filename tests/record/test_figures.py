@@ -5,10 +5,11 @@ import pytest
 
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.record.evaluate.figures import Whereabouts, figures, flown
-from fg_gcs.record.write.layouts import NETWORK, SETPOINTS, TELEMETRY, TICKS, Columns
-from tests.record.flights import STAGES, TARGET, Circle, columns_of, instants, told
+from fg_gcs.record.write.layouts import SETPOINTS, TELEMETRY, TICKS, Columns
+from fg_gcs.wire.address import MAIN, VehicleAddress
+from tests.record.flights import STAGES, TARGET, Circle, columns_of, instants, main, told
 
-LEADERS = (1, 2, 3, 4)
+LEADERS = main(1, 2, 3, 4)
 STANDING = Whereabouts.standing(np.array(TARGET))
 NAMES = {
     "flown_flux_metric",
@@ -23,7 +24,7 @@ NAMES = {
 
 
 def measured(
-    telemetry: Columns, setpoints: Columns, ticks: Columns, leaders: Sequence[int] = LEADERS
+    telemetry: Columns, setpoints: Columns, ticks: Columns, leaders: Sequence[VehicleAddress] = LEADERS
 ) -> dict[str, float | None]:
     series = flown(telemetry, setpoints, STAGES, leaders, STANDING)
     return figures(series, ticks, setpoints, STAGES)
@@ -32,7 +33,7 @@ def measured(
 @pytest.mark.parametrize("circle", [Circle(), Circle(7, 6.0, 1.2), Circle(4, 2.0, 0.3)])
 @pytest.mark.parametrize("rate_hz", [20.0, 50.0])
 def test_circles_have_the_figures_of_circles(circle: Circle, rate_hz: float) -> None:
-    found = measured(*columns_of(circle, rate_hz, offset_m=0.25), leaders=range(1, circle.vehicles + 1))
+    found = measured(*columns_of(circle, rate_hz, offset_m=0.25), leaders=main(*range(1, circle.vehicles + 1)))
     assert found.keys() == NAMES
     assert found["flown_peak_speed_m_s"] == pytest.approx(circle.speed_m_s)
     # The mean over 0.1 s of a turning acceleration is smaller by (w t)^2 / 24, 0.06 % at 1.2 rad/s
@@ -66,7 +67,7 @@ def test_two_vehicles_that_pass_between_two_samples() -> None:
     for now_s in np.arange(-0.75, 1.0, 0.5).tolist():  # never sampled where they pass, at 0
         for system_id, side in ((1, 1.0), (2, -1.0)):
             place = (side * 4.0 * now_s, side * 0.6, 10.0)
-            telemetry.append((now_s, NETWORK, system_id, *place, side * 4.0, 0.0, 0.0, 0.0, now_s, 10.0))
+            telemetry.append((now_s, MAIN, system_id, *place, side * 4.0, 0.0, 0.0, 0.0, now_s, 10.0))
     found = measured(TELEMETRY.table(telemetry), SETPOINTS.table([]), TICKS.table([]), leaders=())
     assert found["flown_min_separation_m"] == pytest.approx(1.2)
     assert found["flown_flux_metric"] is None or np.isnan(found["flown_flux_metric"])
@@ -96,7 +97,7 @@ def test_peaks_outside_the_planned_stages_do_not_count() -> None:
 
 def test_the_metric_is_that_of_the_leaders_in_their_order() -> None:
     telemetry, setpoints, _ = columns_of(Circle(8))
-    leaders = (7, 1, 3, 5)
+    leaders = main(7, 1, 3, 5)
     away = np.array(TARGET) + np.array([9.0, 0.0, 0.0])
     series = flown(telemetry, setpoints, STAGES, leaders, Whereabouts.standing(away))
     assert series is not None
@@ -106,6 +107,24 @@ def test_the_metric_is_that_of_the_leaders_in_their_order() -> None:
     behind = flown(telemetry, setpoints, STAGES, leaders[::-1], Whereabouts.standing(away))
     assert behind is not None
     assert behind.coverage.max() == 0.0
+
+
+def test_equal_ids_of_two_networks_are_two_vehicles() -> None:
+    telemetry, setpoints, ticks = columns_of(Circle(4), offset_m=0.25)
+    whole = measured(telemetry, setpoints, ticks)
+    telemetry, setpoints = (
+        dict(columns)
+        | {
+            "network": np.where(columns["system_id"] <= 2, "east", "west"),
+            "system_id": (columns["system_id"] - 1) % 2 + 1,
+        }
+        for columns in (telemetry, setpoints)
+    )
+    leaders = [VehicleAddress(network, system_id) for network in ("east", "west") for system_id in (1, 2)]
+    assert measured(telemetry, setpoints, ticks, leaders) == whole
+    series = flown(telemetry, setpoints, STAGES, leaders, STANDING)
+    assert series is not None
+    assert series.vehicles == tuple(leaders)
 
 
 def test_the_slowest_vehicle_counts_for_the_rate() -> None:
@@ -121,7 +140,7 @@ def test_nothing_to_measure() -> None:
 
 def test_vehicles_that_share_no_time_make_no_series() -> None:
     heard = ((1, 0.0), (1, 1.0), (2, 2.0), (2, 3.0))
-    telemetry = TELEMETRY.table((now_s, NETWORK, system_id, *[0.0] * 9) for system_id, now_s in heard)
+    telemetry = TELEMETRY.table((now_s, MAIN, system_id, *[0.0] * 9) for system_id, now_s in heard)
     assert flown(telemetry, SETPOINTS.table([]), STAGES, LEADERS, STANDING) is None
 
 
@@ -141,20 +160,20 @@ def test_a_vehicle_that_was_never_heard_shifts_nobody_elses_figures(silent: int)
     whole, setpoints, ticks = columns_of(Circle())
     heard = whole["system_id"] != silent
     rest = {name: column[heard] for name, column in whole.items()}
-    leaders = (4, 1, 3, 2)  # an order of their own, so that a wrong row gives a wrong face
+    leaders = main(4, 1, 3, 2)  # an order of their own, so that a wrong row gives a wrong face
     away = Whereabouts.standing(np.array(TARGET) + np.array([9.0, 0.0, 0.0]))
     before, after = (flown(telemetry, setpoints, STAGES, leaders, away) for telemetry in (whole, rest))
     assert before is not None
     assert after is not None
     assert np.isfinite(before.flux_metric).all()
     kept = [row for row in range(5) if row + 1 != silent]
-    assert after.system_ids.tolist() == [row + 1 for row in kept]
+    assert after.vehicles == main(*(row + 1 for row in kept))
     assert np.array_equal(after.position_m, before.position_m[:, kept])
     for name in ("own_time_s", "speed_m_s", "acceleration_m_s2", "airborne", "error_m"):
         for now, row in zip(getattr(after, name), kept, strict=True):
             assert np.array_equal(now, getattr(before, name)[row], equal_nan=now.dtype.kind == "f"), name
     found, full = (figures(series, ticks, setpoints, STAGES) for series in (after, before))
-    if silent in leaders:  # a face without one of its corners is another face
+    if main(silent)[0] in leaders:  # a face without one of its corners is another face
         assert np.isnan(after.flux_metric).all()
         assert np.isnan(after.coverage).all()
         assert found["flown_flux_metric"] is None

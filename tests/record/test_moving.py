@@ -23,12 +23,12 @@ from fg_gcs.record.evaluate.tracking import (
 )
 from fg_gcs.record.write.layouts import REPLANS, SETPOINTS, SIGHTINGS, TICKS, TRUTH, Columns
 from fg_gcs.track.sightings import Verdict
-from tests.record.flights import Row, told
+from tests.record.flights import Row, main, told
 
 LOPSIDED = Formation(np.array([(0, -3, -2), (0, 5, -1), (0, 4, 3), (0, -2, 6)], dtype=float), np.empty((0, 3)))
 TAKEN, GATED = (verdict.name.lower() for verdict in (Verdict.TAKEN, Verdict.GATED))
 DEPTH_M = 0.7
-LEADERS = (1, 2, 3, 4)
+LEADERS = main(1, 2, 3, 4)
 
 
 def the_followed(caught_s: float | None = 4.0, weights: tuple[float, ...] = (1.0,)) -> Followed:
@@ -147,7 +147,7 @@ def followed(offset_m: float) -> tuple[Flown, dict[str, Columns]]:
     ones, nothing = np.ones_like(time_s), (np.zeros(0),) * 4
     flag = (np.zeros(0, dtype=bool),) * 4
     metric = np.where(time_s < 12.0, 1.0, 0.5)
-    series = Flown(np.arange(1.0, 5.0), time_s, rims, ones, metric, ones, nothing, nothing, nothing, flag, nothing)
+    series = Flown(LEADERS, time_s, rims, ones, metric, ones, nothing, nothing, nothing, flag, nothing)
     tables: dict[str, Columns] = {layout.name: layout.table([]) for layout in (REPLANS, SIGHTINGS, TICKS)}
     return series, {**tables, "truth": TRUTH.table(truth), "setpoints": SETPOINTS.table(setpoints)}
 
@@ -173,7 +173,7 @@ def test_what_was_never_caught_or_never_known_has_no_figures() -> None:
 
 def test_a_leader_that_was_never_heard_leaves_the_figures_of_the_formation_open() -> None:
     series, tables = followed(0.4)
-    for leaders in ((1, 2, 3, 9), ()):
+    for leaders in (main(1, 2, 3, 9), ()):
         found = tracking_figures(series, leaders, the_followed(), tables)
         assert found["capture_time_s"] == pytest.approx(3.0)
         for key in ("centre_error_rms_m", "centre_error_p95_m", "centre_error_commanded_rms_m", "flux_metric_share"):

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_gcs.record.write.layouts import NETWORK, TELEMETRY, TICKS
+from fg_gcs.record.write.layouts import TELEMETRY, TICKS
 from fg_gcs.record.write.recorder import (
     BALLAST,
     EVENTS,
@@ -31,12 +31,13 @@ from fg_gcs.record.write.recorder import (
     make_folder,
     plain,
 )
+from fg_gcs.wire.address import MAIN
 from tests.record.disks import small_disk
 
 NOW = datetime(2026, 2, 3, 4, 5, 6)
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
 VALUES = st.recursive(LEAVES, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=20)
-ROW: tuple[float | str, ...] = (1.0, NETWORK, 1, *[0.0] * 9)
+ROW: tuple[float | str, ...] = (1.0, MAIN, 1, *[0.0] * 9)
 
 
 class Pair(NamedTuple):
@@ -108,7 +109,7 @@ def test_everything_is_written_with_times_since_the_start(tmp_path: Path, in_thr
         recorder.event(51.25, "fault", "vehicle 1 lost", vehicles=(1,), height_m=float("nan"))
         recorder.event(52.0, "text", "line\nbreak")
         recorder.frame(b"\xfd123", 53.0)
-        recorder.telemetry.append((0.0, NETWORK, 1, *range(9)))
+        recorder.telemetry.append((0.0, MAIN, 1, *range(9)))
         summary = recorder.finish({"completed": True, "flux": float("nan"), "rate": np.float64(50.0), "log": tmp_path})
     assert heard == [(1.25, "fault", "vehicle 1 lost"), (2.0, "text", "line\nbreak")]
     events = [strict(line) for line in (tmp_path / EVENTS).read_text().splitlines()]
@@ -212,7 +213,7 @@ def fly_on(recorder: Recorder, begin_s: int, end_s: int, size: int = 200) -> Non
     for second in range(begin_s, end_s):
         for k in range(50):
             time_s = second + 0.02 * k
-            recorder.telemetry.append((time_s, NETWORK, k, *[float(second)] * 9))
+            recorder.telemetry.append((time_s, MAIN, k, *[float(second)] * 9))
             recorder.frame(bytes([0xFD, *[k] * size]), time_s)
         recorder.event(float(second), "text", f"second {second}")
         recorder.flush()
@@ -225,7 +226,7 @@ def test_a_row_that_does_not_fit_ends_the_recording_and_nothing_else(tmp_path: P
         recorder.listeners.append(heard)
         fly_on(recorder, 0, 2)
         recorder.telemetry.append((1.0, 2.0))
-        recorder.telemetry.append((1.0, NETWORK, 1, *["text"] * 9))
+        recorder.telemetry.append((1.0, MAIN, 1, *["text"] * 9))
         fly_on(recorder, 2, 4)
         assert recorder.failure is not None
         assert recorder.failure.text.startswith("telemetry.npy: a row does not fit its columns")
@@ -317,6 +318,7 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.wire.address import MAIN
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
 with Recorder(Path(sys.argv[1]), "", 0.0, 0.0, in_thread=True) as recorder:
     for k in range(5000):

@@ -48,3 +48,8 @@ def test_vehicles_are_ordered_by_network_then_by_system_id(addresses: list[Vehic
 def test_files_hold_the_system_id_alone_while_there_is_one_network() -> None:
     assert VehicleAddress(MAIN, 7).label == 7
     assert VehicleAddress("west", 7).label == "west/7"
+
+
+@given(address=ADDRESSES)
+def test_labels_lead_back_to_their_vehicle(address: VehicleAddress) -> None:
+    assert VehicleAddress.labelled(address.label) == VehicleAddress.labelled(str(address)) == address

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import coverage, flux_metric
 from fg_gcs.core.separation import closest_approach, smallest_over_time
+from fg_gcs.record.read.tables import rows_of, vehicles_in
 from fg_gcs.record.write.layouts import Columns
+from fg_gcs.wire.address import VehicleAddress
 
 ACCELERATION_SPAN_S = 0.1  # velocity differences over less drown in the millisecond stamps of the vehicles' clocks
 AIRBORNE_M = 0.3  # below this height a vehicle touches down or lifts off: ground contact is no flown acceleration
@@ -27,6 +29,14 @@ FLOWN_KEYS = (
     "setpoint_rate_hz",
     "setpoint_late_p99_ms",
 )
+BLOCK = 10_000  # instants whose faces are measured together: some megabytes of work space, however long the flight
+TRACK = (
+    "time_s",
+    "position_enu_m",
+    "velocity_enu_m_s",
+    "boot_time_s",
+    "height_m",
+)  # what is wanted of a vehicle's rows
 PLANNED_STAGES = ("gather", "approach", "hold", "home")
 
 
@@ -51,7 +61,7 @@ class Whereabouts:
 class Flown:
     """A flight's series on common instants, and per vehicle on its own samples."""
 
-    system_ids: Array  # (V,)
+    vehicles: tuple[VehicleAddress, ...]  # all V that were heard, ascending
     time_s: Array  # (T,) common instants from the first to the last that all vehicles share
     position_m: Array  # (T, V, 3) [m; ENU]
     separation_m: Array  # (T,) closest pair
@@ -63,18 +73,18 @@ class Flown:
     airborne: tuple[NDArray[np.bool_], ...]
     error_m: tuple[Array, ...]  # distance from the setpoint; NaN outside the planned stages
 
-    def places_m(self, system_ids: Sequence[int]) -> Array | None:
+    def places_m(self, vehicles: Sequence[VehicleAddress]) -> Array | None:
         """Return where these vehicles were, in this order, shape (T, N, 3) [m; ENU]; None unless all were heard."""
-        row_of = {int(system_id): row for row, system_id in enumerate(self.system_ids)}
-        rows = [row_of[system_id] for system_id in system_ids if system_id in row_of]
-        return self.position_m[:, rows] if len(rows) == len(system_ids) > 0 else None
+        row_of = {vehicle: row for row, vehicle in enumerate(self.vehicles)}
+        rows = [row_of[vehicle] for vehicle in vehicles if vehicle in row_of]
+        return self.position_m[:, rows] if len(rows) == len(vehicles) > 0 else None
 
 
 def flown(
     telemetry: Columns,
     setpoints: Columns,
     stages: Mapping[str, tuple[float, float]],
-    leaders: Sequence[int],
+    leaders: Sequence[VehicleAddress],
     target: Whereabouts,
 ) -> Flown | None:
     """Return the series of a flight, or None when the vehicles share no time in the tables, or far too much of it.
@@ -85,38 +95,51 @@ def flown(
         telemetry: columns of the telemetry table.
         setpoints: columns of the setpoint table.
         stages: begin and end of each stage of the flight [s].
-        leaders: system ids in the rim's winding order; fewer than 3 span no face.
+        leaders: in the rim's winding order; fewer than 3 span no face.
         target: what is surrounded.
     """
-    ids = np.unique(telemetry["system_id"])
-    tracks = [_rows(telemetry, i) for i in ids]
-    if not tracks or min(len(track["time_s"]) for track in tracks) < 2:
+    vehicles = vehicles_in(telemetry)
+    times = [telemetry["time_s"][rows_of(telemetry, vehicle)] for vehicle in vehicles]
+    if not times or min(map(len, times)) < 2:
         return None
-    begin = max(track["time_s"][0] for track in tracks)
-    end = min(track["time_s"][-1] for track in tracks)
-    if end <= begin or (end - begin) * GRID_HZ * len(tracks) > MOST_SAMPLES:
+    begin, end = max(own_s[0] for own_s in times), min(own_s[-1] for own_s in times)
+    if end <= begin or (end - begin) * GRID_HZ * len(times) > MOST_SAMPLES:
         return None
     time_s = np.arange(begin, end, 1.0 / GRID_HZ)
-    position = np.stack([interpolated(time_s, t["time_s"], t["position_enu_m"]) for t in tracks], axis=1)
+    position = np.empty((len(time_s), len(vehicles), 3))
+    speeds, accelerations, airborne, errors = [], [], [], []
+    for row, vehicle in enumerate(vehicles):  # one after the other: an hour of one is some megabytes
+        track = _rows(telemetry, vehicle, TRACK)
+        position[:, row] = interpolated(time_s, track["time_s"], track["position_enu_m"])
+        speeds.append(np.linalg.norm(track["velocity_enu_m_s"], axis=1))
+        accelerations.append(_acceleration(track))
+        airborne.append(track["height_m"] > AIRBORNE_M)
+        errors.append(_errors(track, _rows(setpoints, vehicle, ("time_s", "position_enu_m")), stages))
     nothing = np.full(len(time_s), np.nan)
     series = Flown(
-        system_ids=ids,
+        vehicles=vehicles,
         time_s=time_s,
         position_m=position,
-        separation_m=smallest_over_time(position) if len(ids) > 1 else nothing,
+        separation_m=smallest_over_time(position) if len(vehicles) > 1 else nothing,
         flux_metric=nothing,
         coverage=nothing,
-        own_time_s=tuple(track["time_s"] for track in tracks),
-        speed_m_s=tuple(np.linalg.norm(track["velocity_enu_m_s"], axis=1) for track in tracks),
-        acceleration_m_s2=tuple(_acceleration(track) for track in tracks),
-        airborne=tuple(track["height_m"] > AIRBORNE_M for track in tracks),
-        error_m=tuple(_errors(track, _rows(setpoints, i), stages) for track, i in zip(tracks, ids, strict=True)),
+        own_time_s=tuple(times),
+        speed_m_s=tuple(speeds),
+        acceleration_m_s2=tuple(accelerations),
+        airborne=tuple(airborne),
+        error_m=tuple(errors),
     )
     rims = series.places_m(leaders)
     if rims is None or len(leaders) < 3:
         return series
     there = target.at(time_s)
-    return replace(series, flux_metric=flux_metric(rims, there), coverage=coverage(rims, there))
+    return replace(series, flux_metric=_in_blocks(flux_metric, rims, there), coverage=_in_blocks(coverage, rims, there))
+
+
+def _in_blocks(measure: Callable[[Array, Array], Array], rims_enu_m: Array, target_enu_m: Array) -> Array:
+    """Measure faces over time, (T, N, 3) and (T, 3) to (T,), some at a time."""
+    starts = range(0, len(rims_enu_m), BLOCK)
+    return np.concatenate([measure(rims_enu_m[k : k + BLOCK], target_enu_m[k : k + BLOCK]) for k in starts])
 
 
 def figures(
@@ -142,14 +165,14 @@ def figures(
         result["flown_peak_acceleration_m_s2"] = float(known.max()) if len(known) else None
         result["tracking_rms_m"] = float(np.sqrt((errors[planned] ** 2).mean()))
         result["tracking_max_m"] = float(errors[planned].max())
-    if len(series.system_ids) > 1:
+    if len(series.vehicles) > 1:
         result["flown_min_separation_m"] = closest_approach(series.position_m, series.time_s).distance_m
     return result
 
 
-def _rows(columns: Columns, system_id: float) -> dict[str, Array]:
-    mine = columns["system_id"] == system_id
-    return {name: column[mine] for name, column in columns.items()}
+def _rows(columns: Columns, vehicle: VehicleAddress, names: Sequence[str]) -> dict[str, Array]:
+    mine = rows_of(columns, vehicle)
+    return {name: columns[name][mine] for name in names}
 
 
 def interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
@@ -183,8 +206,8 @@ def _errors(track: Columns, setpoints: Columns, stages: Mapping[str, tuple[float
 def _slowest_rate(setpoints: Columns) -> float | None:
     """Setpoints a second of the vehicle that was served worst [Hz]."""
     rates = []
-    for system_id in np.unique(setpoints["system_id"]):
-        times = setpoints["time_s"][setpoints["system_id"] == system_id]
+    for vehicle in vehicles_in(setpoints):
+        times = setpoints["time_s"][rows_of(setpoints, vehicle)]
         if len(times) > 1:
             rates.append((len(times) - 1) / (times[-1] - times[0]))
     return float(min(rates)) if rates else None

@@ -11,8 +11,10 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import least_after_facing
 from fg_gcs.record.evaluate.figures import Flown, Whereabouts, interpolated
+from fg_gcs.record.read.tables import rows_of, vehicles_in
 from fg_gcs.record.write.layouts import Columns
 from fg_gcs.track.sightings import Verdict
+from fg_gcs.wire.address import VehicleAddress
 
 SETTLED_S = 2.0  # after the capture, which is when the formation still moves in: errors count from here on
 TAKEN = Verdict.TAKEN.name.lower()  # as the tables have it
@@ -93,10 +95,10 @@ def held_places(rims_enu_m: Array, leaders_m: Array, hold_depth_m: float) -> Arr
     return places
 
 
-def flown_scale(series: Flown, leaders: Sequence[int], followed: Followed) -> tuple[Array, Array] | None:
+def flown_scale(series: Flown, leaders: Sequence[VehicleAddress], followed: Followed) -> tuple[Array, Array] | None:
     """Return instants of the tracking and the flown formation's size then, times the template, (T,), (T,).
 
-    None unless all leaders, system ids in their winding order, were heard.
+    None unless all leaders, in their winding order, were heard.
     """
     rims = series.places_m(leaders)
     if rims is None:
@@ -106,11 +108,11 @@ def flown_scale(series: Flown, leaders: Sequence[int], followed: Followed) -> tu
 
 
 def flown_error(
-    series: Flown, leaders: Sequence[int], followed: Followed, target: Whereabouts
+    series: Flown, leaders: Sequence[VehicleAddress], followed: Followed, target: Whereabouts
 ) -> tuple[Array, Array] | None:
     """Return instants of the tracking and how far the flown formation's centre was from its place then, (T,), (T,).
 
-    None unless all leaders, system ids in their winding order, were heard.
+    None unless all leaders, in their winding order, were heard.
     """
     rims = series.places_m(leaders)
     if rims is None:
@@ -120,11 +122,11 @@ def flown_error(
 
 
 def commanded_error(
-    setpoints: Columns, leaders: Sequence[int], followed: Followed, target: Whereabouts
+    setpoints: Columns, leaders: Sequence[VehicleAddress], followed: Followed, target: Whereabouts
 ) -> tuple[Array, Array] | None:
     """Return the same of the setpoints; None unless all leaders got some."""
     time_s = np.arange(followed.began_s, followed.ended_s, 1.0 / RATE_HZ)
-    rows = [setpoints["system_id"] == system_id for system_id in leaders]
+    rows = [rows_of(setpoints, leader) for leader in leaders]
     if not rows or not all(row.any() for row in rows):
         return None
     ways = [interpolated(time_s, setpoints["time_s"][row], setpoints["position_enu_m"][row]) for row in rows]
@@ -182,8 +184,8 @@ def commanded_steps(setpoints: Columns, span_s: tuple[float, float], acceleratio
     """
     inside = (setpoints["time_s"] >= span_s[0]) & (setpoints["time_s"] <= span_s[1])
     position, velocity = 0.0, 0.0
-    for system_id in np.unique(setpoints["system_id"][inside]):
-        mine = inside & (setpoints["system_id"] == system_id)
+    for vehicle in vehicles_in(setpoints):
+        mine = inside & rows_of(setpoints, vehicle)
         step_s = np.diff(setpoints["time_s"][mine])
         way, speed = setpoints["position_enu_m"][mine], setpoints["velocity_enu_m_s"][mine]
         explained = 0.5 * step_s[:, None] * (speed[1:] + speed[:-1])
@@ -194,13 +196,13 @@ def commanded_steps(setpoints: Columns, span_s: tuple[float, float], acceleratio
 
 
 def tracking_figures(
-    series: Flown | None, leaders: Sequence[int], followed: Followed, tables: Mapping[str, Columns]
+    series: Flown | None, leaders: Sequence[VehicleAddress], followed: Followed, tables: Mapping[str, Columns]
 ) -> dict[str, object]:
     """Return the figures of the tracking by the names of the command line's JSON; None where there is nothing.
 
     Args:
         series: of the flight, with flux and coverage of the target as well as it is known.
-        leaders: system ids in their winding order; figures of the formation need all of them.
+        leaders: in their winding order; figures of the formation need all of them.
         followed: what it was about.
         tables: columns of the run's tables, by their names.
     """

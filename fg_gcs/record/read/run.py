@@ -19,6 +19,7 @@ from fg_gcs.record.read.summary import RunSummary
 from fg_gcs.record.read.tables import MOST_S, read_table
 from fg_gcs.record.write.layouts import LAYOUTS, Columns
 from fg_gcs.record.write.recorder import EVENTS, INDEX, INPUTS, MISSION, SUMMARY
+from fg_gcs.wire.address import VehicleAddress
 
 IN_FLIGHT = ("take-off", "gather", "approach", "hold", "home", "land")
 STAMP_FORMAT, STAMP_LENGTH = "%Y-%m-%dT%H-%M-%S", 19  # how the name of a run's folder begins
@@ -104,9 +105,9 @@ class RecordedRun:
         return self.summary.spans(self.last_s)
 
     @cached_property
-    def leaders(self) -> tuple[int, ...]:
-        """System ids of the leaders in their winding order, heard or not; empty when there was no plan."""
-        return self.summary.ids("leader_ids")
+    def leaders(self) -> tuple[VehicleAddress, ...]:
+        """The leaders in their winding order, heard or not; empty when there was no plan."""
+        return self.summary.vehicles("leader_ids")
 
     @cached_property
     def target_enu_m(self) -> Array | None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.record.read.tables import MOST_S
+from fg_gcs.wire.address import VehicleAddress
 
 Kind = Callable[[object], bool]
 
@@ -60,9 +61,9 @@ class RunSummary:
         value = self.values.get(key)
         return value if isinstance(value, dict) else {}
 
-    def ids(self, key: str) -> tuple[int, ...]:
-        """Return system ids."""
-        return tuple(self._if(_is_ids, key, []))
+    def vehicles(self, key: str) -> tuple[VehicleAddress, ...]:
+        """Return vehicles, in their order."""
+        return tuple(VehicleAddress.labelled(label) for label in self._if(_is_labels, key, []))
 
     def point(self, key: str) -> Array | None:
         """Return a place, shape (3,)."""
@@ -117,9 +118,17 @@ def _is_stages(value: object) -> bool:
     return isinstance(value, dict) and all(_is_span(span) for span in value.values())
 
 
-def _is_ids(value: object) -> bool:
-    whole = isinstance(value, list) and all(isinstance(each, int) and not isinstance(each, bool) for each in value)
-    return whole and isinstance(value, list) and all(0 < each < 256 for each in value)
+def _is_labels(value: object) -> bool:
+    return isinstance(value, list) and all(_is_label(each) for each in value)
+
+
+def _is_label(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, (int, str)):
+        return False
+    try:
+        return 0 < VehicleAddress.labelled(value).system_id < 256
+    except ValueError:  # among them integers of more digits than Python writes
+        return False
 
 
 def _is_point(value: object) -> bool:
@@ -156,8 +165,9 @@ def _is_text(value: object) -> bool:
 
 KINDS: dict[str, Kind] = {  # keys that are more than a figure, and what they have to be
     "stages": _is_stages,
-    "leader_ids": _is_ids,
-    "lost_vehicles": _is_ids,
+    "leader_ids": _is_labels,
+    "lost_vehicles": _is_labels,
+    "vehicles_not_down": _is_labels,
     "target_enu_m": _is_point,
     "found_again_s": _is_durations,
     "sightings_rejected": _is_counts,

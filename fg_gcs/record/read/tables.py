@@ -12,9 +12,11 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from fg_gcs.record.write.layouts import Columns, TableLayout
+from fg_gcs.wire.address import VehicleAddress
 
 MOST_S = 1e6  # since the start of a run: eleven days; a later time is none
 VERSION = (1, 0)  # of NumPy's format
+CHUNK_ROWS = 50_000  # read at once: an hour's table is never in memory twice
 
 
 class ReadTable(NamedTuple):
@@ -22,6 +24,19 @@ class ReadTable(NamedTuple):
 
     columns: Columns
     remark: str | None
+
+
+def vehicles_in(columns: Columns) -> tuple[VehicleAddress, ...]:
+    """Return the vehicles that a table with networks and system ids has rows of, ascending."""
+    networks = np.unique(columns["network"]).tolist()
+    ids = {name: np.unique(columns["system_id"][columns["network"] == name]).tolist() for name in networks}
+    return tuple(VehicleAddress(name, system_id) for name in networks for system_id in ids[name])
+
+
+def rows_of(columns: Columns, vehicle: VehicleAddress) -> NDArray[np.bool_]:
+    """Return which rows of such a table are a vehicle's, shape (rows,)."""
+    rows: NDArray[np.bool_] = (columns["system_id"] == vehicle.system_id) & (columns["network"] == vehicle.network)
+    return rows
 
 
 def read_table(path: Path, layout: TableLayout) -> ReadTable:
@@ -35,21 +50,22 @@ def read_table(path: Path, layout: TableLayout) -> ReadTable:
     nothing = layout.columns_of(np.zeros(0, layout.dtype))
     try:
         with path.open("rb") as file:
-            rows, missing = _rows(file, layout)
+            cells, missing = _cells(file, layout)
     except OSError as error:
         return ReadTable(nothing, f"{path.name}: cannot be read: {error.strerror or error}")
     except Exception as error:  # NumPy's parser raises whatever Python's does: strange bytes are no fault of ours
         return ReadTable(nothing, f"{path.name}: not a table of {layout.name}: {' '.join(str(error).split())[:200]}")
-    good = np.isfinite(rows["time_s"]) & (np.abs(rows["time_s"]) <= MOST_S)
+    good = np.isfinite(cells["time_s"]) & (np.abs(cells["time_s"]) <= MOST_S)
     remarks = [] if missing is None else [missing]
     if not good.all():
         remarks.append(f"{np.count_nonzero(~good)} rows with an impossible time are left out")
+        cells = {name: column[good] for name, column in cells.items()}
     remark = f"{path.name}: {'; '.join(remarks)}" if remarks else None
-    return ReadTable(layout.columns_of(rows[good]), remark)
+    return ReadTable(layout.columns_of(cells), remark)
 
 
-def _rows(file: IO[bytes], layout: TableLayout) -> tuple[NDArray[Any], str | None]:
-    """Return the rows that are there in the layout's type, and how many more the header promises.
+def _cells(file: IO[bytes], layout: TableLayout) -> tuple[dict[str, NDArray[Any]], str | None]:
+    """Return the columns of the rows that are there, in the layout's types, and how many more the header promises.
 
     Raises:
         Exception: the header is not that of such a table.
@@ -61,22 +77,26 @@ def _rows(file: IO[bytes], layout: TableLayout) -> tuple[NDArray[Any], str | Non
         shape, _, dtype = npy.read_array_header_1_0(file)  # parses literals only: nothing in it is ever run
     if len(shape) != 1 or dtype.names is None or dtype.hasobject or not dtype.itemsize:
         raise ValueError("its rows are not records")
-    wrong = [name for name, *_ in layout.dtype.descr if name in dtype.names and not _fits(dtype, layout.dtype, name)]
-    absent = [name for name, *_ in layout.dtype.descr if name not in dtype.names]
+    names = [column.name for column in layout.columns]
+    wrong = [name for name in names if name in dtype.names and not _fits(dtype, layout.dtype, name)]
+    absent = [name for name in names if name not in dtype.names]
     if wrong or "time_s" in absent or len(absent) > len(layout.columns) // 2:
         raise ValueError(f"the column {(wrong or absent)[0]} is {'another' if wrong else 'missing'}")
     there = (os.fstat(file.fileno()).st_size - file.tell()) // dtype.itemsize
     count = min(int(shape[0]), there)
-    found = np.frombuffer(file.read(count * dtype.itemsize), dtype)
-    rows = np.zeros(len(found), layout.dtype)
-    for name, *_ in layout.dtype.descr:
-        if name in dtype.names:
-            rows[name] = found[name]
-        elif rows[name].dtype.kind == "f":
-            rows[name] = np.nan
+    cells = {name: np.zeros((count, *layout.dtype[name].shape), layout.dtype[name].base) for name in names}
+    for begin in range(0, count, CHUNK_ROWS):
+        end = min(begin + CHUNK_ROWS, count)
+        found = np.frombuffer(file.read((end - begin) * dtype.itemsize), dtype)
+        for name in dtype.names:
+            if name in cells:
+                cells[name][begin:end] = found[name]
+    for name in absent:
+        if cells[name].dtype.kind == "f":
+            cells[name][:] = np.nan
     remarks = [f"cut off: {count} of {shape[0]} rows are there"] if count < shape[0] else []
     remarks += [f"the column {name} is missing" for name in absent]
-    return rows, "; ".join(remarks) or None
+    return cells, "; ".join(remarks) or None
 
 
 def _fits(found: np.dtype[Any], wanted: np.dtype[Any], name: str) -> bool:

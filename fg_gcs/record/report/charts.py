@@ -18,6 +18,7 @@ from fg_gcs.record.evaluate.evaluation import EvaluatedRun
 from fg_gcs.record.evaluate.tracking import flown_error, flown_scale
 from fg_gcs.track.follow.replanner import FollowMode
 from fg_gcs.track.sightings import Verdict
+from fg_gcs.wire.address import VehicleAddress
 
 LEADER_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#6a3d9a", "#8c510a")
 FOLLOWER_COLOUR, LIMIT_COLOUR, FAULT_COLOUR, INK = "#9aa0a6", "#c62828", "#c62828", "#263238"
@@ -187,11 +188,11 @@ def age_chart(run: EvaluatedRun) -> go.Figure | None:
     return finished(chart, run.followed.lost_after_s, "lost after")
 
 
-def colour_of(run: EvaluatedRun, system_id: int) -> str:
+def colour_of(run: EvaluatedRun, vehicle: VehicleAddress) -> str:
     """Return the colour that a vehicle has in every picture."""
-    if system_id not in run.leaders:
+    if vehicle not in run.leaders:
         return FOLLOWER_COLOUR
-    return LEADER_COLOURS[run.leaders.index(system_id) % len(LEADER_COLOURS)]
+    return LEADER_COLOURS[run.leaders.index(vehicle) % len(LEADER_COLOURS)]
 
 
 def thinned(values: Array, points: int) -> NDArray[np.intp]:
@@ -273,15 +274,16 @@ def finished(chart: go.Figure, limit: float | None, name: str) -> go.Figure:
 def _lines(chart: go.Figure, run: EvaluatedRun, times: Sequence[Array], values: Sequence[Array], unit: str) -> None:
     """Draw one line a vehicle: followers first, so that the leaders lie on top of them."""
     assert run.series is not None  # there are times and values of every vehicle
-    ids = [int(system_id) for system_id in run.series.system_ids]
-    points = min(POINTS_PER_LINE, 2 * max(50, POINTS_PER_CHART // len(ids) // 2))
+    vehicles, leaders = run.series.vehicles, run.leaders
+    points = min(POINTS_PER_LINE, 2 * max(50, POINTS_PER_CHART // len(vehicles) // 2))
     followers_listed = False
-    for row in sorted(range(len(ids)), key=lambda row: run.leaders.index(ids[row]) if ids[row] in run.leaders else -1):
-        leads = ids[row] in run.leaders
+    places = [leaders.index(vehicle) if vehicle in leaders else -1 for vehicle in vehicles]
+    for row in sorted(range(len(vehicles)), key=lambda row: places[row]):
+        vehicle, leads = vehicles[row], places[row] >= 0
         chart.add_trace(
-            _trace(times[row], values[row], f"{'leader' if leads else 'vehicle'} {ids[row]}", unit, points).update(
-                line={"color": colour_of(run, ids[row]), "width": 1.6 if leads else 1.0},
-                legendgroup=f"leader {ids[row]}" if leads else "followers",
+            _trace(times[row], values[row], f"{'leader' if leads else 'vehicle'} {vehicle}", unit, points).update(
+                line={"color": colour_of(run, vehicle), "width": 1.6 if leads else 1.0},
+                legendgroup=f"leader {vehicle}" if leads else "followers",
                 showlegend=leads,
                 legendrank=2,
             )
@@ -290,7 +292,7 @@ def _lines(chart: go.Figure, run: EvaluatedRun, times: Sequence[Array], values: 
             followers_listed = True
             chart.add_trace(
                 go.Scatter(
-                    x=[None], y=[None], name="followers" if run.leaders else "vehicles", mode="lines",
+                    x=[None], y=[None], name="followers" if leaders else "vehicles", mode="lines",
                     legendgroup="followers", line={"color": FOLLOWER_COLOUR, "width": 2}, legendrank=3,
                 )
             )  # fmt: skip

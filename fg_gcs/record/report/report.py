@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from html import escape
 from itertools import groupby
@@ -29,6 +29,7 @@ from fg_gcs.record.report.charts import (
 from fg_gcs.record.report.html import Cell, Row, chart, page, section, table
 from fg_gcs.record.report.scene import scene
 from fg_gcs.record.write.recorder import REPORT
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
 
 # Plans keep their limits exactly, real vehicles overshoot: wind, control, velocities stamped in whole milliseconds
 FLOWN_SLACK = 0.05
@@ -36,7 +37,7 @@ RATE_SLACK = 0.05  # a late tick is left out, and a rate is counted over the who
 ON_GROUND = ("connect", "prepare", "plan")
 QUIET = {"phase", "open"}  # kinds of events that only developers read
 MOST_EVENTS = 1000  # rows that a browser shows at once
-SAID_BY_VEHICLE = re.compile(r"vehicle (\d+): (.*)", re.DOTALL)
+SAID_BY_VEHICLE = re.compile(r"vehicle ((?:[^ /]+/)?\d{1,3}): (.*)", re.DOTALL)
 TOGETHER_S = 1.0  # vehicles that say the same within this time are told in one row
 ERROR, WARNING = 3, 4  # MAVLink's severities: up to 3 errors, 4 a warning
 
@@ -229,7 +230,7 @@ def _headline(run: EvaluatedRun) -> str:
     summary = run.summary
     completed = summary.is_true("completed")
     reason = summary.text("reason") or "no reason was written down"
-    lost = summary.ids("lost_vehicles")
+    lost = summary.vehicles("lost_vehicles")
     outcome = "Completed" if completed else f"Aborted: {reason}"
     description = "" if run.mission is None else run.mission.description
     begin_s, end_s = run.span_s
@@ -237,7 +238,7 @@ def _headline(run: EvaluatedRun) -> str:
         f"{run.begun:%A, %d %B %Y, %H:%M:%S}" if run.begun else "",
         f"{_landed(run)} vehicles landed and disarmed" if _landed(run) != NO_FIGURE else "",
         f"{end_s - begin_s:.0f} s from take-off to landing" if run.bands else "no vehicle took off",
-        f"lost: vehicles {_names(lost)}" if lost else "",
+        f"lost: {vehicles_named(lost)}" if lost else "",
     ]
     return (
         f'<header class="{"good" if completed else "bad"}"><h1>{escape(run.name)}</h1>\n'
@@ -352,8 +353,8 @@ def _told(events: Sequence[LoggedEvent]) -> Iterator[Row]:
         first = events[0]
         together = [event for event in events if event.time_s - first.time_s <= TOGETHER_S]
         said = [SAID_BY_VEHICLE.fullmatch(event.text) for event in together]
-        ids = [int(match[1]) for match in said if match]
-        text = f"vehicles {_names(ids)}: {_gist(first)[1]}" if len(ids) > 1 else first.text
+        vehicles = {VehicleAddress.labelled(match[1]) for match in said if match}
+        text = f"{vehicles_named(vehicles)}: {_gist(first)[1]}" if len(vehicles) > 1 else first.text
         yield Row((f"{first.time_s:.2f}", first.kind, text), _weight(first))
         events = events[len(together) :]
 
@@ -378,17 +379,6 @@ def _landed(run: EvaluatedRun) -> str:
     if landed is None:
         return NO_FIGURE
     return f"{landed:.0f} of {vehicles:.0f}" if vehicles is not None else f"{landed:.0f}"
-
-
-def _names(ids: Iterable[int]) -> str:
-    """Return system ids for people: neighbours as ranges, ``1-9, 12``."""
-    runs: list[list[int]] = []
-    for system_id in sorted(set(ids)):
-        if runs and runs[-1][-1] == system_id - 1:
-            runs[-1] = [runs[-1][0], system_id]
-        else:
-            runs.append([system_id])
-    return ", ".join("-".join(str(end) for end in run) for run in runs)
 
 
 def _text(value: float | None, unit: str, digits: int | None = 2, sign: str = "", scale: float = 1.0) -> str:

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from fg_gcs.core.arrays import Array
 from fg_gcs.record.evaluate.evaluation import EvaluatedRun
 from fg_gcs.record.evaluate.figures import PLANNED_STAGES
+from fg_gcs.record.read.tables import rows_of, vehicles_in
 from fg_gcs.record.report.charts import INK, colour_of
 from fg_gcs.record.write.layouts import Columns
+from fg_gcs.wire.address import VehicleAddress
 
 POINTS_PER_PATH = 400  # straight pieces of a decimetre or so: smooth from any side
 POINTS_IN_ALL = 25_000  # under half a megabyte each for the ways out, the ways home and the plans
@@ -23,28 +25,28 @@ ESTIMATE_COLOUR = "#f4a3a0"
 
 def scene(run: EvaluatedRun) -> go.Figure | None:
     """Return flown and planned paths, faces, pads and target; None when there is no sample at all."""
-    ids = np.unique(run.telemetry["system_id"]).astype(int).tolist()
-    if not ids:
+    vehicles, leaders = vehicles_in(run.telemetry), run.leaders
+    if not vehicles:
         return None
     figure = go.Figure()
-    points = min(POINTS_PER_PATH, max(50, POINTS_IN_ALL // len(ids)))
+    points = min(POINTS_PER_PATH, max(50, POINTS_IN_ALL // len(vehicles)))
     turn_s = next((band.begin_s for band in run.bands if band.stage == "home"), np.inf)
     out, back = _between(run.telemetry, -np.inf, turn_s), _between(run.telemetry, turn_s, np.inf)
-    for system_id in sorted(ids, key=lambda i: run.leaders.index(i) if i in run.leaders else len(run.leaders) + i):
-        _add_flown(figure, run, system_id, along(_path_of(out, system_id), points))
-    for system_id in ids:
-        _add_return(figure, run, system_id, along(_path_of(back, system_id), points))
+    for vehicle in sorted(vehicles, key=lambda each: leaders.index(each) if each in leaders else len(leaders)):
+        _add_flown(figure, run, vehicle, along(_path_of(out, vehicle), points))
+    for vehicle in vehicles:
+        _add_return(figure, run, vehicle, along(_path_of(back, vehicle), points))
     following = [band for band in run.bands if band.stage in PLANNED_STAGES]
     span = (following[0].begin_s, following[-1].end_s) if following else (0.0, 0.0)
     setpoints = _between(run.setpoints, *span)
-    planned = [along(_path_of(setpoints, i), points) for i in ids]
+    planned = [along(_path_of(setpoints, vehicle), points) for vehicle in vehicles]
     _add_group(
         figure, [path for path in planned if len(path)], "planned paths", PLAN_COLOUR, {"width": 2, "dash": "dot"}
     )
     _add_faces(figure, run)
-    pads = np.concatenate([_path_of(run.telemetry, i)[:1] for i in ids])
+    pads = np.concatenate([_path_of(run.telemetry, vehicle)[:1] for vehicle in vehicles])
     _add_points(figure, pads, "where they stood", PAD_COLOUR, "square", 3)
-    places = np.concatenate([_path_of(run.telemetry, i) for i in ids] + _add_target(figure, run))
+    places = np.concatenate([_path_of(run.telemetry, vehicle) for vehicle in vehicles] + _add_target(figure, run))
     figure.update_layout(
         template="none",
         height=640,
@@ -95,8 +97,8 @@ def _eye(pads: Array, target_enu_m: Array | None) -> dict[str, float]:
     return {"x": 2.0 * float(np.cos(bearing)), "y": 2.0 * float(np.sin(bearing)), "z": 0.7}
 
 
-def _path_of(columns: Columns, system_id: int) -> Array:
-    path: Array = columns["position_enu_m"][columns["system_id"] == system_id]
+def _path_of(columns: Columns, vehicle: VehicleAddress) -> Array:
+    path: Array = columns["position_enu_m"][rows_of(columns, vehicle)]
     known: Array = path[np.isfinite(path).all(axis=1)]
     return known
 
@@ -106,18 +108,18 @@ def _between(columns: Columns, begin_s: float, end_s: float) -> Columns:
     return {name: column[inside] for name, column in columns.items()}
 
 
-def _add_flown(figure: go.Figure, run: EvaluatedRun, system_id: int, path: Array) -> None:
+def _add_flown(figure: go.Figure, run: EvaluatedRun, vehicle: VehicleAddress, path: Array) -> None:
     """Draw a vehicle's way up to and around the target: a leader under its own name."""
-    leads = system_id in run.leaders
-    name = f"leader {system_id}" if leads else "followers" if run.leaders else "vehicles"
+    leads = vehicle in run.leaders
+    name = f"leader {vehicle}" if leads else "followers" if run.leaders else "vehicles"
     width = 5.0 if leads else 2.5
-    _add_path(figure, path, name, _hover(system_id), {"color": colour_of(run, system_id), "width": width})
+    _add_path(figure, path, name, _hover(vehicle), {"color": colour_of(run, vehicle), "width": width})
 
 
-def _add_return(figure: go.Figure, run: EvaluatedRun, system_id: int, path: Array) -> None:
+def _add_return(figure: go.Figure, run: EvaluatedRun, vehicle: VehicleAddress, path: Array) -> None:
     """Draw a vehicle's way home, so thin that it does not hide the approach."""
     if len(path):
-        _add_path(figure, path, "way home", _hover(system_id), {"color": colour_of(run, system_id), "width": 1.5})
+        _add_path(figure, path, "way home", _hover(vehicle), {"color": colour_of(run, vehicle), "width": 1.5})
 
 
 def _add_path(figure: go.Figure, path: Array, group: str, hover: str, line: dict[str, Any]) -> None:
@@ -131,8 +133,8 @@ def _add_path(figure: go.Figure, path: Array, group: str, hover: str, line: dict
     )  # fmt: skip
 
 
-def _hover(system_id: int) -> str:
-    return f"vehicle {system_id}<br>%{{x:.1f}}, %{{y:.1f}}, %{{z:.1f}} m<extra></extra>"
+def _hover(vehicle: VehicleAddress) -> str:
+    return f"vehicle {vehicle}<br>%{{x:.1f}}, %{{y:.1f}}, %{{z:.1f}} m<extra></extra>"
 
 
 def _add_group(figure: go.Figure, paths: list[Array], name: str, colour: str, line: dict[str, Any]) -> None:

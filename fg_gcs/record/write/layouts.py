@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 Columns = Mapping[str, NDArray[Any]]  # by name, each of shape (rows,) or (rows, width)
 
-NETWORK = "main"  # of the vehicles; a vehicle's address is its network and its system id there
 MAGIC = b"\x93NUMPY\x01\x00"
 DIGITS = 20  # room for the number of rows
 ALIGNMENT = 64  # of the first row, as NumPy writes it
@@ -88,10 +87,13 @@ class TableLayout:
         """Return a number of rows as the header has it, at ``count_offset``."""
         return str(rows).ljust(DIGITS).encode()
 
-    def columns_of(self, rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Return packed rows, of shape (rows,) and this layout's type, as columns; texts as ``str``."""
+    def columns_of(self, rows: NDArray[Any] | Columns) -> dict[str, NDArray[Any]]:
+        """Return packed rows, of shape (rows,) and this layout's type, or their cells by name; texts as ``str``."""
         columns = {column.name: rows[column.name] for column in self.columns}
-        return {name: _texts(cells) if cells.dtype.kind == "S" else cells.copy() for name, cells in columns.items()}
+        return {
+            name: _texts(cells) if cells.dtype.kind == "S" else np.ascontiguousarray(cells)
+            for name, cells in columns.items()
+        }
 
     def table(self, rows: Iterable[Sequence[float | str]]) -> dict[str, NDArray[Any]]:
         """Return rows as the columns that are read back once they are written.
@@ -100,7 +102,7 @@ class TableLayout:
             struct.error: a row does not fit.
         """
         packed = b"".join(self.pack(row) for row in rows)
-        return self.columns_of(np.frombuffer(packed, self.dtype))
+        return self.columns_of(np.frombuffer(bytearray(packed), self.dtype))
 
 
 def _field(column: Column) -> tuple[Any, ...]:
@@ -109,9 +111,9 @@ def _field(column: Column) -> tuple[Any, ...]:
 
 
 def _texts(cells: NDArray[np.bytes_]) -> NDArray[np.str_]:
-    """Return UTF-8 as text; a column of millions that all say the same takes no longer than one of numbers."""
+    """Return UTF-8 as text; a column of millions that all say the same is that text once, and read-only."""
     if len(cells) and (cells == cells[0]).all():
-        return np.full(len(cells), np.char.decode(cells[0], "utf-8", "replace"))
+        return np.broadcast_to(np.char.decode(cells[0], "utf-8", "replace"), len(cells))
     return np.char.decode(cells, "utf-8", "replace")
 
 
