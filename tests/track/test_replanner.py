@@ -127,7 +127,9 @@ def test_a_turn_that_lifts_half_the_formation_keeps_climb_and_descent(limits: Li
 def test_an_approach_meets_the_target_where_and_when_it_is_predicted_and_moves_as_it_does_then(seed: int) -> None:
     """Farther ahead than the horizon no prediction is trusted: there it aims at where the target is at the horizon."""
     draw = np.random.default_rng(seed)
-    mean = np.stack((START.centre_enu_m + [45.0, 9.0, 0.0], draw.normal(size=3) * [2.5, 2.5, 0.5], np.zeros(3)))
+    mean = np.stack(
+        (START.centre_enu_m + np.array([45.0, 9.0, 0.0]), draw.normal(size=3) * [2.5, 2.5, 0.5], np.zeros(3))
+    )
     mean[2, :2] = 0.1
     way = Prediction(0.0, np.ones(1), mean[None], np.array([20.0]), np.zeros(1))
     made, took_s = replanner(), []
