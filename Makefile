@@ -18,11 +18,12 @@ help:
 demo: $(VENV)/.runtime
 	@$(BIN)/fg-gcs fly missions/circle.toml
 
+# The quick checks first; idle workers take tests from busy ones, because tests take from a millisecond to half a minute
 test: $(VENV)/.dev
 	@echo "== format";  $(BIN)/ruff format --check .
 	@echo "== lint";    $(BIN)/ruff check .
 	@echo "== types";   $(BIN)/mypy
-	@echo "== tests";   $(BIN)/pytest
+	@echo "== tests";   $(BIN)/pytest -n auto --dist worksteal
 
 format: $(VENV)/.dev
 	$(BIN)/ruff format .
