@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import os
 import re
+import select
 import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,14 +20,17 @@ from tests.flight.harness import CIRCLE, SMALL, moving
 
 GCS = [sys.executable, "-m", "fg_gcs.console.cli"]
 VEHICLE = f'[[targets]]\nname = "car"\n{CIRCLE}[targets.source]\nkind = "vehicle"\nsystem_id = 101\nsimulated = true\n'
-PATIENCE_S = 120.0  # for anything at all, on a busy machine
+PATIENCE_S = 300.0  # for anything at all, on a busy machine
+SPEED = (
+    2.0  # times real time: a flight needs a tenth of a core then, and gets that on a machine that has ten other jobs
+)
 
 
 @contextmanager
 def flying(folder: Path, *more: str, text: str = SMALL) -> Iterator[subprocess.Popen[str]]:
     mission = folder / "small.toml"
     mission.write_text(text)
-    command = [*GCS, "fly", str(mission), "--logs", str(folder / "logs"), "--json", *more]
+    command = [*GCS, "fly", str(mission), "--logs", str(folder / "logs"), "--speed", f"{SPEED:g}", "--json", *more]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         yield process
@@ -55,15 +58,14 @@ def children(pid: int) -> list[int]:
 
 def ends(pid: int) -> bool:
     """Wait until a process that is not our child has gone."""
-    deadline_s = time.monotonic() + 20.0
-    while time.monotonic() < deadline_s:
-        try:
-            if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
-                return True
-        except OSError:
-            return True
-        os.sched_yield()
-    return False
+    try:
+        process = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
+    try:
+        return bool(select.select([process], [], [], PATIENCE_S)[0])
+    finally:
+        os.close(process)
 
 
 def summary_of(process: subprocess.Popen[str]) -> dict[str, object]:
@@ -73,45 +75,36 @@ def summary_of(process: subprocess.Popen[str]) -> dict[str, object]:
     return found
 
 
-def test_a_flight_over_real_sockets(tmp_path: Path) -> None:
-    with flying(tmp_path, "--speed", "4") as process:
-        flown = summary_of(process)
-        assert process.returncode == 0
-    assert flown["completed"] is True
-    assert flown["vehicles_landed"] == 4
-    assert Path(str(flown["report"])).stat().st_size > 100_000
-
-
-def test_a_target_that_is_a_vehicle_in_a_process_of_its_own(tmp_path: Path) -> None:
-    with flying(tmp_path, "--speed", "3", text=moving(VEHICLE)) as process:
-        wait_for(process, "caught after")
-        simulators = children(process.pid)
-        flown = summary_of(process)
-        assert process.returncode == 0
-    assert flown["completed"] is True
-    assert flown["vehicles_landed"] == 4
-    assert isinstance(flown["centre_error_rms_m"], float)
-    assert flown["centre_error_rms_m"] < 1.5
-    assert isinstance(flown["replan_p99_ms"], float)
+def test_two_flights_at_once_over_real_sockets_do_not_meet(tmp_path: Path) -> None:
+    """One at a target at rest, one after a target that is a vehicle in a process of its own."""
+    for name in ("resting", "moving"):
+        (tmp_path / name).mkdir()
+    with flying(tmp_path / "resting") as resting, flying(tmp_path / "moving", text=moving(VEHICLE)) as chasing:
+        wait_for(chasing, "caught after")
+        simulators = children(chasing.pid)
+        followed, reached = summary_of(chasing), summary_of(resting)
+        assert (resting.returncode, chasing.returncode) == (0, 0)
+    for flown in (reached, followed):
+        assert flown["completed"] is True
+        assert flown["vehicles_landed"] == 4
+        assert Path(str(flown["report"])).stat().st_size > 100_000
+    assert isinstance(followed["centre_error_rms_m"], float)
+    assert followed["centre_error_rms_m"] < 1.5
+    assert isinstance(followed["replan_p99_ms"], float)
     assert len(simulators) == 2
     assert all(ends(simulator) for simulator in simulators)
 
 
-def test_a_signal_while_tracking_brings_everybody_home(tmp_path: Path) -> None:
-    with flying(tmp_path, "--speed", "3", text=moving(VEHICLE)) as process:
-        wait_for(process, "caught after")
-        process.send_signal(signal.SIGINT)
-        flown = summary_of(process)
-        assert process.returncode == 1
-    assert flown["reason"] == "stopped by SIGINT"
-    assert flown["vehicles_landed"] == 4
-    assert Path(str(flown["report"])).stat().st_size > 100_000
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_in_flight_brings_everybody_home(number: signal.Signals, tmp_path: Path) -> None:
-    with flying(tmp_path, "--speed", "4") as process:
-        wait_for(process, r"\bapproach$")
+@pytest.mark.parametrize(
+    ("number", "text", "moment"),
+    [(signal.SIGINT, SMALL, r"\bapproach$"), (signal.SIGTERM, moving(VEHICLE), "caught after")],
+    ids=["SIGINT, target at rest", "SIGTERM, target followed"],
+)
+def test_a_signal_in_flight_brings_everybody_home(
+    number: signal.Signals, text: str, moment: str, tmp_path: Path
+) -> None:
+    with flying(tmp_path, text=text) as process:
+        wait_for(process, moment)
         simulators = children(process.pid)
         process.send_signal(number)
         flown = summary_of(process)
@@ -119,15 +112,15 @@ def test_a_signal_in_flight_brings_everybody_home(number: signal.Signals, tmp_pa
     assert flown["completed"] is False
     assert flown["reason"] == f"stopped by {number.name}"
     assert flown["vehicles_landed"] == 4
-    assert len(simulators) == 1
-    assert ends(simulators[0])
+    assert len(simulators) == 1 + text.count("simulated = true")
+    assert all(ends(simulator) for simulator in simulators)
     log = Path(str(flown["log"]))
-    assert (log / "report.html").exists()
+    assert (log / "report.html").stat().st_size > 100_000
     assert json.loads((log / "events.jsonl").read_text().splitlines()[-1])["kind"]
 
 
 def test_the_simulator_killed_in_flight(tmp_path: Path) -> None:
-    with flying(tmp_path, "--speed", "4") as process:
+    with flying(tmp_path) as process:
         wait_for(process, r"\bapproach$")
         os.kill(children(process.pid)[0], signal.SIGKILL)
         flown = summary_of(process)
@@ -166,14 +159,6 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
         assert done.returncode == 2
         assert str(port) in done.stderr
         assert len(done.stderr.splitlines()) == 1
-
-
-def test_two_flights_at_once_do_not_meet(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    (tmp_path / "b").mkdir()
-    with flying(tmp_path / "a", "--speed", "3") as one, flying(tmp_path / "b", "--speed", "3") as two:
-        assert summary_of(one)["completed"] is True
-        assert summary_of(two)["completed"] is True
 
 
 def free_port() -> int:

@@ -80,19 +80,19 @@ class Nowhere:
 Pictures = dict[tuple[int, int], list[tuple[str, list[str]]]]
 
 
-def watched(folder: Path, text: str) -> tuple[Mission, Flight, Pictures]:
+def watched(folder: Path, text: str, *sizes: tuple[int, int]) -> tuple[Mission, Flight, Pictures]:
     """Fly a mission; return all pictures, by size of the terminal, each with the stage that it was taken in."""
     mission = mission_of(folder, text)
-    pictures: Pictures = {size: [] for size in SIZES}
+    pictures: Pictures = {size: [] for size in sizes}
 
     async def look(flight: Flight) -> None:
-        screens = [Screen(*size) for size in SIZES]
+        screens = [Screen(*size) for size in sizes]
         shows = [Terminal(mission.description, screen.console, live=True) for screen in screens]
         maker = SnapshotMaker(flight.director, Nowhere(), 4.0)
         loop = asyncio.get_running_loop()
         async for _ in ticks(0.0, 0.25):
             snapshot = maker.snapshot(loop.time())
-            for size, screen, show in zip(SIZES, screens, shows, strict=True):
+            for size, screen, show in zip(sizes, screens, shows, strict=True):
                 pictures[size].append((snapshot.stage, screen.lines(show.picture(snapshot))))
 
     flight = fly(folder, "px4", look, mission)
@@ -100,7 +100,7 @@ def watched(folder: Path, text: str) -> tuple[Mission, Flight, Pictures]:
 
 
 def test_the_picture_while_tracking_fits_never_jumps_and_tells_of_loss_and_return(tmp_path: Path) -> None:
-    mission, flight, pictures = watched(tmp_path, LOSING)
+    mission, flight, pictures = watched(tmp_path, LOSING, *SIZES)
     assert flight.result is not None
     assert flight.result.completed, flight.result.reason
     for (width, height), taken in pictures.items():
@@ -143,7 +143,7 @@ def test_the_latency_is_that_of_the_sensor_and_one_round_of_setpoints(tmp_path: 
 
 
 def test_a_source_that_says_nothing_is_told_with_the_time_that_is_left(tmp_path: Path) -> None:
-    mission, flight, pictures = watched(tmp_path, SILENT)
+    mission, flight, pictures = watched(tmp_path, SILENT, (80, 24))
     assert flight.result is not None
     assert flight.result.reason == "no sightings for 6 s"
     assert "listening for sightings of lead at udpin:127.0.0.1:15000" in flight.events
@@ -186,7 +186,7 @@ def test_the_last_words_are_about_what_was_measured(tmp_path: Path) -> None:
 
 def test_a_formation_that_grows_and_a_target_that_is_lost_among_others_are_told(tmp_path: Path) -> None:
     second = f'[[targets]]\nname = "rear"\n{CIRCLE.replace("radius_m = 15.0", "radius_m = 13.0")}{SEEN_BADLY}'
-    _, flight, pictures = watched(tmp_path, CIRCLING + second + "[track]\nmost_radius_m = 12.0\n")
+    _, flight, pictures = watched(tmp_path, CIRCLING + second + "[track]\nmost_radius_m = 12.0\n", (100, 30))
     assert flight.result is not None
     assert flight.result.completed, flight.result.reason
     taken = [lines[1 : 1 + HEIGHT] for stage, lines in pictures[100, 30] if stage == "hold"]
@@ -197,7 +197,7 @@ def test_a_formation_that_grows_and_a_target_that_is_lost_among_others_are_told(
 
 
 def test_without_a_moving_target_there_are_no_lines_for_one(tmp_path: Path) -> None:
-    mission, _, pictures = watched(tmp_path, SMALL)
+    mission, _, pictures = watched(tmp_path, SMALL, (60, 20))
     flying = [lines for _, lines in pictures[60, 20] if any(" phase " in line for line in lines)]
     assert {len(lines) for lines in flying} == {1 + 1 + 1 + mission.swarm.vehicles + 1}
     assert not any("target" in line for lines in flying for line in lines)

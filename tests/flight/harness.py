@@ -22,6 +22,7 @@ from fg_gcs.run.flying import fly as run_mission
 from fg_gcs.run.observing import Observer
 from sitl_mock.host.server import Simulator, SimulatorOptions
 
+AUTOPILOTS = ("px4", "ardupilot")
 GROUND_PORT, OTHER_PORT = 14550, 14551  # ours, and another ground station's
 SMALL = """
 [swarm]
@@ -83,6 +84,12 @@ class Flight:
         async for _ in ticks(asyncio.get_running_loop().time(), 0.02):
             if self.director.journal.stage == stage:
                 return
+
+    @property
+    def down_and_disarmed(self) -> bool:
+        """Whether every vehicle stands on the ground, motors off: by the simulator's own state."""
+        low = np.abs(self.simulator.positions_enu_m[:, 2]).max() < 0.1
+        return bool(low and not self.simulator.armed.any())
 
     @property
     def recorded(self) -> RecordedRun:

@@ -10,14 +10,7 @@ import numpy as np
 import pytest
 
 from fg_gcs.errors import LinkError, PlanError
-from tests.flight.harness import GROUND_PORT, SMALL, Flight, OtherStation, fly, mission_of
-
-AUTOPILOTS = ("px4", "ardupilot")
-
-
-def down_and_disarmed(flight: Flight) -> bool:
-    low = np.abs(flight.simulator.positions_enu_m[:, 2]).max() < 0.1
-    return bool(low and not flight.simulator.armed.any())
+from tests.flight.harness import AUTOPILOTS, GROUND_PORT, SMALL, Flight, OtherStation, fly, mission_of
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
@@ -32,7 +25,7 @@ def test_stopped_in_any_stage_everybody_is_brought_down(stage: str, autopilot: s
     assert flight.result is not None
     assert not flight.result.completed
     assert flight.result.reason == "stopped by a test"
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
     assert flight.truth_separation_m >= 1.4
     assert not flight.result.lost
 
@@ -45,7 +38,7 @@ def test_stopped_twice_lands_on_the_spot(tmp_path: Path) -> None:
         flight.director.interrupt("second")
 
     flight = fly(tmp_path, "px4", stop)
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
     assert "landing on the spot: second" in flight.events
     away = np.linalg.norm(flight.simulator.positions_enu_m[:, :2] - np.array([-6.0, 10.0]), axis=1)
     assert away.max() < 12.0

@@ -12,10 +12,9 @@ from fg_gcs.console.cli import main
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.link.router import Counters
 from fg_gcs.record.evaluate.tracking import KEYS
-from tests.flight.harness import SMALL, Flight, fly, mission_of
+from tests.flight.harness import AUTOPILOTS, SMALL, Flight, fly, mission_of
 
 MISSIONS = Path(__file__).parents[2] / "missions"
-AUTOPILOTS = ("px4", "ardupilot")
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)

@@ -18,19 +18,13 @@ from fg_gcs.record.read.run import load_run
 from fg_gcs.scenario.motions import Circle
 from sitl_mock.host.server import Simulator, SimulatorOptions
 from sitl_mock.host.targets import parse_target
-from tests.flight.harness import CIRCLE, CIRCLING, Flight, OtherStation, fly, mission_of, moving
+from tests.flight.harness import AUTOPILOTS, CIRCLE, CIRCLING, Flight, OtherStation, fly, mission_of, moving
 
-AUTOPILOTS = ("px4", "ardupilot")
 PORT = 15000
 WAY = Circle((0.0, 0.0, 12.0), 15.0, 2.0)
 LEAD = '[[targets]]\nname = "lead"\n'
 UDP = f'position_enu_m = [15.0, 0.0, 12.0]\n[targets.source]\nkind = "udp"\nendpoint = "udpin:127.0.0.1:{PORT}"\n'
 SILENT = CIRCLING.replace(CIRCLE, CIRCLE + "[targets.sensor]\nsilence = [[8.0, 13.0]]\n")
-
-
-def down_and_disarmed(flight: Flight) -> bool:
-    low = np.abs(flight.simulator.positions_enu_m[:, 2]).max() < 0.1
-    return bool(low and not flight.simulator.armed.any())
 
 
 def flown(folder: Path, text: str, *more: str) -> dict[str, object]:
@@ -99,7 +93,7 @@ def test_the_simulators_own_state_says_the_moving_target_is_surrounded(autopilot
     assert flight.result.completed, flight.result.reason
     assert len(seen) == 20
     assert min(seen) >= 0.9
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
     assert flight.truth_separation_m >= 1.4
 
 
@@ -134,7 +128,7 @@ def test_when_a_target_is_lost_everybody_goes_home_if_the_mission_says_so(tmp_pa
     assert flight.result is not None
     assert not flight.result.completed
     assert flight.result.reason == "every target is lost: no sightings for 2 s"
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
     assert flight.truth_separation_m >= 1.4
 
 
@@ -156,7 +150,7 @@ def test_a_target_that_cannot_be_held_is_given_up_too(tmp_path: Path) -> None:
     )
     assert flight.result is not None
     assert flight.result.reason == "the target is not caught within 4 s"
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
 
 
 def test_a_source_that_falls_silent_for_good_is_given_up(tmp_path: Path) -> None:
@@ -168,7 +162,7 @@ def test_a_source_that_falls_silent_for_good_is_given_up(tmp_path: Path) -> None
     assert flight.result.reason == "no sightings for 5 s"
     assert flight.result.tracking is not None
     assert flight.result.tracking.ended_s - flight.result.tracking.began_s == pytest.approx(5.9 + 5.0, abs=0.1)
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
 
 
 def test_a_target_that_is_never_seen_leaves_everybody_where_they_gathered(tmp_path: Path) -> None:
@@ -179,7 +173,7 @@ def test_a_target_that_is_never_seen_leaves_everybody_where_they_gathered(tmp_pa
     begin_s, end_s = flight.result.stages["approach"]
     inside = (rows["time_s"] > begin_s) & (rows["time_s"] < end_s)
     assert np.ptp(rows["position_enu_m"][inside & (rows["system_id"] == 1)], axis=0) == pytest.approx(np.zeros(3))
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
 
 
 def test_datagrams_that_are_nonsense_are_counted_and_change_nothing(tmp_path: Path) -> None:
@@ -206,7 +200,7 @@ def test_datagrams_that_are_nonsense_are_counted_and_change_nothing(tmp_path: Pa
     assert refused["MALFORMED"] > 6 * refused["FAR"] - 6
     assert refused["FAR"] > 100
     assert flight.events.count('"kind": "refused"') == 2
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
 
 
 def test_a_port_that_is_taken_keeps_everybody_on_the_ground(tmp_path: Path) -> None:
@@ -266,7 +260,7 @@ def test_stopped_while_tracking_everybody_is_brought_home(stage: str, autopilot:
     assert flight.result.reason == "stopped by a test"
     assert "home" in flight.result.stages
     assert "landing on the spot" not in flight.events
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
     assert flight.truth_separation_m >= 1.4
 
 
@@ -279,7 +273,7 @@ def test_stopped_twice_while_tracking_lands_on_the_spot(tmp_path: Path) -> None:
 
     flight = fly(tmp_path, "px4", stop, mission_of(tmp_path, CIRCLING))
     assert "landing on the spot: second" in flight.events
-    assert down_and_disarmed(flight)
+    assert flight.down_and_disarmed
     assert np.linalg.norm(flight.simulator.positions_enu_m[:, :2], axis=1).min() > 8.0
 
 

@@ -16,7 +16,7 @@ from fg_gcs.core.separation import Fence
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.track.estimate.imm import Prediction
 from fg_gcs.track.follow.fail_safe import FailSafeTrajectory, verify
-from fg_gcs.track.follow.replanner import FollowMode, Goal, Replanner, Swarm
+from fg_gcs.track.follow.replanner import HORIZON_S, MET_S, FollowMode, Goal, Replanner, Swarm
 
 NINE = hemisphere(4, 5, 6.0)
 RULES = Rules(Limits(10.0, 5.0), 1.5, Fence((-150.0, -150.0, 2.0), (150.0, 150.0, 80.0)))
@@ -121,6 +121,36 @@ def test_a_turn_that_lifts_half_the_formation_keeps_climb_and_descent(limits: Li
         velocity = flown(made.trajectory, np.arange(0.0, made.trajectory.end_s, 0.01))[1]
         assert velocity[:, :, 2].max() <= limits.climb_m_s
         assert velocity[:, :, 2].min() >= -limits.descent_m_s
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_approach_meets_the_target_where_and_when_it_is_predicted_and_moves_as_it_does_then(seed: int) -> None:
+    """Farther ahead than the horizon no prediction is trusted: there it aims at where the target is at the horizon."""
+    draw = np.random.default_rng(seed)
+    mean = np.stack(
+        (START.centre_enu_m + np.array([45.0, 9.0, 0.0]), draw.normal(size=3) * [2.5, 2.5, 0.5], np.zeros(3))
+    )
+    mean[2, :2] = 0.1
+    way = Prediction(0.0, np.ones(1), mean[None], np.array([20.0]), np.zeros(1))
+    made, took_s = replanner(), []
+    for now_s in np.arange(0.0, 10.0, 0.5).tolist():
+        goal = Goal(Prediction(now_s, np.ones(1), way.at(now_s)[None], way.eases_s, way.rates_rad_s), 1.0)
+        replan = made.replan(goal, now_s)
+        if replan.mode is not FollowMode.APPROACH:
+            break
+        time_s = np.arange(now_s, replan.trajectory.end_s, 0.002)
+        frames = replan.trajectory.frames(time_s)
+        gap = frames.centre - np.array([goal.at(min(at_s, now_s + HORIZON_S)) for at_s in time_s.tolist()])
+        gap[:, 0] -= DEPTH_M * frames.arms[:, 0, :, 0] / frames.scale[:, None]
+        place_m, speed_m_s, acceleration_m_s2 = np.linalg.norm(gap, axis=2).T
+        met = int(np.argmin(place_m + speed_m_s + 0.1 * acceleration_m_s2))
+        assert place_m[met] <= (MET_S + 0.002) * float(np.linalg.norm(goal.at(now_s)[1])) + 0.01
+        assert speed_m_s[met] <= 0.005
+        assert acceleration_m_s2[met] <= 0.03 < 0.5 * np.linalg.norm(goal.at(now_s + HORIZON_S)[2])
+        going_on = frames.centre[met : met + 100, 1] - frames.centre[met, 1]
+        assert np.linalg.norm(going_on, axis=1).max() <= 0.05  # for 0.2 s at least, before it brakes
+        took_s.append(float(time_s[met]) - now_s)
+    assert min(took_s) < HORIZON_S < max(took_s)
 
 
 def test_a_target_that_is_too_fast_is_chased_without_breaking_a_limit() -> None:
