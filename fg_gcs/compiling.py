@@ -21,7 +21,7 @@ from numba import config as numba_config
 from numba import njit
 
 ROOMS = ("core", "plan", "track")  # where compiled code is
-UNUSED_DAYS = 7.0  # of older folders: nobody goes back to sources of last week often
+UNUSED_DAYS = 7.0  # of older folders: sources of last week rarely come back
 
 SETTINGS: Final[Any] = numba_config  # a module whose names numba makes at run time
 

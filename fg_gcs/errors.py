@@ -18,4 +18,4 @@ class VehicleError(FgError):
 
 
 class LinkError(FgError):
-    """The network is at fault: a port is taken, or nobody answers."""
+    """The network is at fault: a port is taken, or no vehicle answers."""

@@ -256,7 +256,7 @@ def say(console: Console, what: RenderableType, *, whole: bool = False) -> None:
 
 
 def closing(console: Console, summary: Mapping[str, object], mission: Mission) -> None:
-    """Print what came of the flight; nobody may be there any more to read it.
+    """Print what came of the flight; there may be no terminal any more.
 
     Args:
         console: where to.

@@ -97,7 +97,7 @@ class Flight(NamedTuple):
 
     @property
     def landed(self) -> bool:
-        """Whether everybody was on the ground in the end."""
+        """Whether every vehicle was on the ground in the end."""
         return self.summary["vehicles_landed"] == self.summary["vehicles"]
 
 

@@ -28,7 +28,7 @@ STOP_S = 5.0  # to close its sockets after its input has ended
 
 
 def free_port() -> int:
-    """Return a UDP port of the loopback that nobody uses now."""
+    """Return a UDP port of the loopback that is not in use now."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

@@ -83,7 +83,7 @@ def time_optimal(
         PlanError: no timing keeps the limits; the text says where, by which limit of which vehicle (counted from 1),
             and how fast start or end may be.
     """
-    if path.length_m == 0.0:  # everybody is where it should be: nothing to do, in no time
+    if path.length_m == 0.0:  # every vehicle is where it should be: nothing to do, in no time
         return Timing(np.zeros(2), np.zeros(2), np.zeros(2))
     _check_lead(path, limits, start_speed, 0.0, leads_m[0])
     _check_lead(path, limits, end_speed, path.length_m - leads_m[1], path.length_m)
@@ -128,7 +128,7 @@ def fine_grid(path: SwarmPath, leads_m: tuple[float, float] = (0.0, 0.0)) -> Arr
 def strictest(path: SwarmPath, s_m: Array, limits: Limits) -> Bound:
     """Return the limit that allows the least constant path speed at any of the places ``s_m``, shape (S,)."""
     _, first, second = path.at(s_m)
-    allowed = {  # (S, V) each; nobody moves less than a picometre a metre
+    allowed = {  # (S, V) each; no vehicle moves less than a picometre a metre
         "speed_m_s": limits.speed_m_s / np.maximum(np.linalg.norm(first, axis=2), 1e-12),
         "acceleration_m_s2": np.sqrt(limits.acceleration_m_s2 / np.maximum(np.linalg.norm(second, axis=2), 1e-12)),
         "climb_m_s": limits.climb_m_s / np.maximum(first[:, :, 2], 1e-12),
@@ -156,10 +156,10 @@ def _check_lead(path: SwarmPath, limits: Limits, speed: float, low_m: float, hig
 def _cannot_start(
     path: SwarmPath, limits: Limits, stuck_m: float, speeds: tuple[float, float], slower: float
 ) -> PlanError:
-    """Say why nobody can be as fast at the start, and how fast they may be."""
+    """Say why no vehicle can be as fast at the start, and how fast they may be."""
     bound = strictest(path, np.array([stuck_m]), limits)
     if bound.speed < speeds[0]:
-        why = f"from {speeds[0]:.2f} m/s nobody can brake in time for {stuck_m:.1f} m of its way, where {bound}"
+        why = f"from {speeds[0]:.2f} m/s no vehicle can brake in time for the place {stuck_m:.1f} m along the path, where {bound}"
     else:
         mover = _furthest(path, stuck_m)
         why = (
@@ -170,7 +170,7 @@ def _cannot_start(
 
 
 def _cannot_end(path: SwarmPath, limits: Limits, speed: float, allowed: float, reached: float) -> PlanError:
-    """Say why nobody can be as fast at the end, and how fast they may be."""
+    """Say why no vehicle can be as fast at the end, and how fast they may be."""
     if allowed < speed * (1.0 - SAME):
         why = f"{strictest(path, np.array([path.length_m]), limits)}, not at {speed:.2f} m/s"
     else:
@@ -179,7 +179,7 @@ def _cannot_end(path: SwarmPath, limits: Limits, speed: float, allowed: float, r
             f"(acceleration_m_s2 {limits.acceleration_m_s2:g})"
         )
     return PlanError(
-        f"the path cannot be timed under the limits: at its end, at {path.length_m:.1f} m of its way, {why}; "
+        f"the path cannot be timed under the limits: at its end, {path.length_m:.1f} m along, {why}; "
         f"end at {reached:.2f} m/s or slower"
     )
 

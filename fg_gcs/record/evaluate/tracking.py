@@ -48,7 +48,7 @@ class Followed:
 
 
 def true_centre(truth: Columns, weights: Sequence[float]) -> Whereabouts | None:
-    """Return where the centre of all targets truly was; None where nobody knows."""
+    """Return where the centre of all targets truly was; None where that is not known."""
     count = len(weights)
     whole = len(truth["time_s"]) // count * count  # the end of the table may be cut off
     time_s = truth["time_s"][:whole:count]

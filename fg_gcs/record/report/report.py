@@ -110,9 +110,9 @@ TRACKING_CHARTS = (
         "centre",
         "How far off the target",
         centre_chart,
-        "Distance of the formation's centre from where it should be around the target: dark by what was flown and "
-        "where the target truly was, in colours by what was commanded and believed, one colour for each of the "
-        "tracker's modes. Good: it falls fast, and stays below the dashed line from the capture on.",
+        "Distance of the formation's centre from its place around the target. Dark: as flown, from the true target. "
+        "Coloured: as commanded, from the estimate, one colour for each of the things that the formation does. Good: "
+        "it falls fast, and stays below the dashed line from the capture on.",
     ),
     ChartOverTime(
         "sightings",
@@ -190,7 +190,7 @@ def _chart(what: ChartOverTime, run: EvaluatedRun) -> str:
 def _asked_and_flown(run: EvaluatedRun) -> str:
     planned = "Planned: verified before take-off."
     if run.followed is not None:
-        planned = "Nothing of the chase is planned before take-off: every trajectory is verified before it is flown."
+        planned = "The way to a moving target is not planned before take-off: every trajectory is verified before it is flown."
     return section(
         "What was asked, what was flown",
         table(("", "asked", "planned", "flown", ""), _figures(run)),
@@ -250,8 +250,8 @@ def _headline(run: EvaluatedRun) -> str:
 def _figures(run: EvaluatedRun) -> Iterator[Row]:
     number, moves = run.number, run.followed is not None
     vehicles, landed = _vehicles(run), number("vehicles_landed")
-    everybody = None if vehicles is None or landed is None else landed == vehicles
-    yield _row("Vehicles landed and disarmed", _text(vehicles, "", 0), "", _landed(run), everybody)
+    all_landed = None if vehicles is None or landed is None else landed == vehicles
+    yield _row("Vehicles landed and disarmed", _text(vehicles, "", 0), "", _landed(run), all_landed)
     for name, key, unit in (("speed", "speed_m_s", "m/s"), ("acceleration", "acceleration_m_s2", "m/s²")):
         flown, limit = number(f"flown_peak_{key}"), run.summary.limit(key)
         planned = "" if moves else _text(number(f"peak_{key}"), unit)

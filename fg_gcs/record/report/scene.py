@@ -1,4 +1,4 @@
-"""The report's rotatable picture: where everybody was told to fly, and where everybody flew."""
+"""The report's rotatable picture: where every vehicle was told to fly, and where it flew."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ class Writer:
 
 
 class ThreadedWriter(Writer):
-    """Does the same in a thread of its own, so that a slow disk holds nobody up; so much may wait and no more."""
+    """Does the same in a thread of its own, so that a slow disk holds nothing up; so much may wait and no more."""
 
     def __init__(self, most_waiting_bytes: int = MOST_WAITING_BYTES) -> None:
         super().__init__()
