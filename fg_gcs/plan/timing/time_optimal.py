@@ -159,7 +159,9 @@ def _cannot_start(
     """Say why no vehicle can be as fast at the start, and how fast they may be."""
     bound = strictest(path, np.array([stuck_m]), limits)
     if bound.speed < speeds[0]:
-        why = f"from {speeds[0]:.2f} m/s no vehicle can brake in time for the place {stuck_m:.1f} m along the path, where {bound}"
+        why = (
+            f"from {speeds[0]:.2f} m/s no vehicle can brake in time for the place {stuck_m:.1f} m along, where {bound}"
+        )
     else:
         mover = _furthest(path, stuck_m)
         why = (

@@ -190,7 +190,7 @@ def _chart(what: ChartOverTime, run: EvaluatedRun) -> str:
 def _asked_and_flown(run: EvaluatedRun) -> str:
     planned = "Planned: verified before take-off."
     if run.followed is not None:
-        planned = "The way to a moving target is not planned before take-off: every trajectory is verified before it is flown."
+        planned = "Moving targets are not planned for before take-off; every trajectory is verified before it is flown."
     return section(
         "What was asked, what was flown",
         table(("", "asked", "planned", "flown", ""), _figures(run)),
