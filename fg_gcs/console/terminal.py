@@ -49,6 +49,7 @@ SHOWN = {  # kinds of events for people, with their colours; the rest is for the
     "abort": "bold red",
     "track": "cyan",
     "refused": "yellow",
+    "recording": "bold red",
     "warning": "yellow",
     "error": "bold red",
 }
