@@ -38,10 +38,10 @@ class Durations:
 
     def add(self, duration_s: float) -> None:
         """Take one more [s]."""
-        if len(self._kept) == self._most:
-            del self._kept[1::2]
-            self._stride *= 2
         if self.count % self._stride == 0:
+            if len(self._kept) == self._most:
+                del self._kept[1::2]
+                self._stride *= 2
             self._kept.append(duration_s)
         self.count += 1
 

@@ -10,6 +10,7 @@ from shutil import copytree
 import numpy as np
 import pytest
 
+from fg_gcs.console.cli import main
 from fg_gcs.console.plan import report
 from fg_gcs.errors import MissionError
 from fg_gcs.record.evaluate.evaluation import evaluated
@@ -304,3 +305,64 @@ def test_copies_of_inputs_are_looked_for_in_their_folder_only(run: Path, name: o
     assert len(read.remarks) == 1
     assert "seen.csv" in read.remarks[0]
     assert str(run) not in read.remarks[0]
+
+
+FOREIGN = ("missing", "cut", "cut again", "folder", "loop", "empty", "noise", "huge header")
+
+
+def spoil(path: Path, how: str, chance: random.Random) -> None:
+    """Put something else where a file of a run should be."""
+    data = path.read_bytes()
+    path.unlink()
+    match how:
+        case "cut" | "cut again":
+            path.write_bytes(data[: 1000 * chance.randrange(len(data) // 1000 + 1)])
+        case "folder":
+            path.mkdir()
+        case "loop":
+            path.symlink_to(path)
+        case "empty":
+            path.touch()
+        case "noise":
+            path.write_bytes(chance.randbytes(5000))
+        case "huge header":
+            path.write_bytes(b"\x93NUMPY\x01\x00\xff\xff" + b"(" * 65_535 + data[-2000:])
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave plotly's own megabytes out of the page: a hundred reports would spend their time on them."""
+    monkeypatch.setattr("fg_gcs.record.report.html.get_plotlyjs", lambda: "")
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("name", FILES)
+def test_whole_reports_of_damaged_folders_end_with_what_is_there_or_with_one_line(
+    whole: Path, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for how in FOREIGN:
+        folder = copytree(whole, tmp_path / how / whole.name)
+        spoil(folder / name, how, random.Random(f"{name} {how}"))
+        code = main(["report", str(folder)])
+        told = capsys.readouterr().err.splitlines()
+        assert code == 0, (how, told)
+        assert told[-1] == f"report: {folder / 'report.html'}"
+        remarks = [line for line in told[:-1] if line.startswith(f"fg-gcs: {folder}: ")]
+        assert len(remarks) == len(told) - 1
+        is_unseen = how.startswith("cut") or (how == "empty" and name == EVENTS)  # a cut may fall between two lines
+        assert remarks or is_unseen, how
+        assert not any("cannot be shown" in line for line in remarks), remarks
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("how", FOREIGN)
+def test_a_report_of_nothing_but_damage_ends_with_one_line_or_shows_that_there_is_nothing(
+    whole: Path, how: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = copytree(whole, tmp_path / whole.name)
+    for name in FILES:
+        spoil(folder / name, how, random.Random(f"all {name} {how}"))
+    code = main(["report", str(folder)])
+    told = capsys.readouterr().err.splitlines()
+    assert code == (2 if how == "missing" else 0), told
+    assert len(told) == 1 if code else told[-1].startswith("report: ")
