@@ -20,14 +20,14 @@ def test_a_disk_that_fills_up_in_flight_ends_the_recording_and_not_the_flight(tm
         assert cut.recorder.failure is not None
         assert 5.0 < cut.recorder.failure.since_s < 30.0
         assert cut.events.count('"recording"') == 1
-        rows = np.load(disk / "setpoints.npy")
+        rows = np.load(cut.recorder.folder / "setpoints.npy")
     for flight in (whole, cut):
         assert flight.result is not None
         assert flight.result.completed, flight.result.reason
     assert _stages(whole) == _stages(cut)
     assert whole.truth_separation_m == cut.truth_separation_m
     assert len(rows) > 1000
-    assert np.array_equal(np.load(tmp_path / "whole" / "setpoints.npy")[: len(rows)], rows)
+    assert np.array_equal(np.load(whole.recorder.folder / "setpoints.npy")[: len(rows)], rows)
 
 
 def test_a_row_that_cannot_be_packed_ends_the_recording_and_not_the_flight(tmp_path: Path) -> None:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fg_gcs.console.cli import main
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import ticks
 from fg_gcs.record.read.run import load_run
+from fg_gcs.run.flying import FlyOptions, Outcome, fly_blocking
 from fg_gcs.scenario.motions import Circle
 from sitl_mock.host.server import Simulator, SimulatorOptions
 from sitl_mock.host.targets import parse_target
@@ -27,16 +28,14 @@ UDP = f'position_enu_m = [15.0, 0.0, 12.0]\n[targets.source]\nkind = "udp"\nendp
 SILENT = CIRCLING.replace(CIRCLE, CIRCLE + "[targets.sensor]\nsilence = [[8.0, 13.0]]\n")
 
 
-def flown(folder: Path, text: str, *more: str) -> dict[str, object]:
-    """Fly a mission as people do; return what the command line says of it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "moving.toml"
-    path.write_text(text)
-    code = main(["fly", str(path), "--speed", "max", "--logs", str(folder / "logs"), *more])
-    (run,) = (folder / "logs").iterdir()
-    summary = json.loads((run / "summary.json").read_text())
+def flown(folder: Path, text: str, autopilot: str | None = None, *, report: bool = False) -> dict[str, object]:
+    """Fly a mission as people do, in virtual time; return what is written about it."""
+    options = FlyOptions(autopilot=autopilot, logs=folder / "logs", write_report=report)
+    result = fly_blocking(mission_of(folder, text), options, speed=math.inf)
+    assert result.outcome is (Outcome.COMPLETED if result.completed else Outcome.ABORTED), result.error
+    assert result.in_order
+    summary = json.loads((result.folder / "summary.json").read_text())
     assert isinstance(summary, dict)
-    assert code == (0 if summary["completed"] else 1)
     return summary
 
 
@@ -48,7 +47,7 @@ def figure(summary: dict[str, object], key: str) -> float:
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_a_target_on_a_circle_is_caught_and_held(autopilot: str, tmp_path: Path) -> None:
-    summary = flown(tmp_path, CIRCLING, "--autopilot", autopilot)
+    summary = flown(tmp_path, CIRCLING, autopilot)
     assert summary["completed"] is True, summary["reason"]
     assert summary["vehicles_landed"] == 4
     assert figure(summary, "capture_time_s") < 30.0
@@ -101,6 +100,7 @@ def test_the_same_flight_gives_the_same_tables_byte_for_byte(tmp_path: Path) -> 
     noisy = CIRCLING.replace(CIRCLE, CIRCLE + "[targets.sensor]\ndrop = 0.2\noutliers = 0.05\njitter_s = 0.03\n")
     folders = []
     for name in ("one", "two"):
+        (tmp_path / name).mkdir()
         assert flown(tmp_path / name, noisy)["completed"] is True
         (folder,) = (tmp_path / name / "logs").iterdir()
         folders.append(folder)
@@ -335,7 +335,7 @@ def test_the_noses_follow_the_target_without_jumps(tmp_path: Path) -> None:
 
 def test_the_report_shows_the_chase(tmp_path: Path) -> None:
     wild = CIRCLING.replace(CIRCLE, CIRCLE + "[targets.sensor]\noutliers = 0.1\n")
-    summary = flown(tmp_path, wild)
+    summary = flown(tmp_path, wild, report=True)
     page = Path(str(summary["report"])).read_text()
     for said in ("target&#x27;s true way", "How far off the target", "refused: gated", "following the target"):
         assert said in page or said.replace("&#x27;", "'") in page or said.replace("&#x27;", "\\u0027") in page, said

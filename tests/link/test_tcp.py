@@ -32,8 +32,8 @@ from fg_gcs.wire.codec import Message
 from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.vehicle import Vehicle
 
-FAST = 50.0  # times real time: pauses pass at once, and an attempt still has 100 ms on a machine that is busy
-PATIENCE_S = 10.0 * FAST  # seconds of real time: loopback needs microseconds
+FAST = 10.0  # times real time: pauses pass soon, and an attempt still has half a second on a machine that is busy
+PATIENCE_S = 60.0 * FAST  # a minute of real time: loopback needs microseconds
 Result = TypeVar("Result")
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
@@ -211,7 +211,7 @@ def attempting(main: Callable[[Attempts], Awaitable[Result]]) -> Result:
 
 async def until(condition: Callable[[], bool]) -> float:
     loop = asyncio.get_running_loop()
-    async for _ in ticks(loop.time(), 0.001):  # virtual seconds
+    async for _ in ticks(loop.time(), 0.02):  # virtual seconds
         if condition():
             break
     return loop.time()
