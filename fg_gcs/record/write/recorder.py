@@ -268,7 +268,8 @@ class Recorder:
 
     def _told(self, summary: Mapping[str, object]) -> dict[str, object]:
         """Return a summary as JSON has it, with what is missing in the folder."""
-        missing = {file.name: file.until_s for file in self._files if file.is_missing_some}
+        others = [file for file in self._files if file is not self._summary]  # whoever reads this has the newest
+        missing = {file.name: file.until_s for file in others if file.is_missing_some}
         recording = {
             "recording_complete": self.failure is None,
             "recording_failure": None if self.failure is None else self.failure._asdict(),
