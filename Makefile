@@ -48,4 +48,6 @@ $(VENV)/.runtime: pyproject.toml constraints.txt | $(VENV)/bin/python
 $(VENV)/.dev: $(VENV)/.runtime
 	@echo "Installing the tools of the tests into $(VENV) (once) ..."
 	@$(BIN)/python -m pip install $(FLAGS) -e '.[dev]'
+	@echo "Compiling what only the tests use (once, about half a minute) ..."
+	@$(BIN)/python -c 'from fg_gcs.plan.compiled import build; build(("rigid", "free"))'
 	@touch $@
