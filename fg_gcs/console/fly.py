@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from rich.console import Console
-
 from fg_gcs.console.codes import ExitCode
 from fg_gcs.console.nonblocking import unhurried
 from fg_gcs.console.plan import tell_if_not_built
-from fg_gcs.console.terminal import Terminal, closing
+from fg_gcs.console.terminal import PatientConsole, Terminal, closing
 from fg_gcs.errors import MissionError
 from fg_gcs.flight.director import Director
 from fg_gcs.mission import load_mission
@@ -60,13 +58,13 @@ def fly(path: Path, options: FlyOptions, manner: Manner) -> ExitCode:
     gc.collect()
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     with ExitStack() as stack:
-        console = Console(file=sys.stderr if virtual else _unhurried(stack), highlight=False)
+        console = PatientConsole(file=sys.stderr if virtual else _unhurried(stack), highlight=False)
         terminal = stack.enter_context(Terminal(mission.description, console, live=not virtual and console.is_terminal))
         result = fly_blocking(mission, options, (terminal, _Signals()), speed=manner.speed)
+        if result.outcome in (Outcome.COMPLETED, Outcome.ABORTED):
+            stack.callback(closing, console, result.summary, mission)  # below the picture, which has gone by then
     if manner.json:
         print(json.dumps(dict(result.summary)), flush=True)
-    if result.outcome in (Outcome.COMPLETED, Outcome.ABORTED):
-        closing(Console(stderr=True, highlight=False), result.summary, mission)
     return code_of(result)
 
 

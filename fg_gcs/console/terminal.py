@@ -250,6 +250,13 @@ def _place(known: TargetSnapshot) -> str:
 # --- the end ---------------------------------------------------------------------------------------------------------
 
 
+class PatientConsole(Console):
+    """A console that takes it calmly when what it writes to has gone: the flight goes on without."""
+
+    def on_broken_pipe(self) -> None:
+        """Do nothing, where rich would end the program."""
+
+
 def say(console: Console, what: RenderableType, *, whole: bool = False) -> None:
     """Print; a terminal gets lines wrapped between words, unless they are to stay whole."""
     console.print(what, soft_wrap=whole or not console.is_terminal)
@@ -271,7 +278,8 @@ def closing(console: Console, summary: Mapping[str, object], mission: Mission) -
         say(console, Text())
         say(console, Text("Flight completed", "bold green") if summary["completed"] else aborted)
         say(console, grid)
-        say(console, Text.assemble(("report  ", "dim"), str(summary["report"])), whole=True)  # to be copied, or clicked
+        if summary["report"] is not None:  # to be copied, or clicked
+            say(console, Text.assemble(("report  ", "dim"), str(summary["report"])), whole=True)
 
 
 def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple[str, str]]:
@@ -300,6 +308,10 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
     for key, name in (("bad_bytes", "bytes that were no MAVLink"), ("unknown_messages", "unknown messages")):
         if summary[key]:
             lines.append((name, f"{summary[key]} dropped"))
+    if summary.get("recording_complete") is False:
+        lines.append(("recording", f"incomplete, and so are these figures: {summary['recording_failure']}"))
+    if summary.get("vehicles_not_down"):
+        lines.append(("not known to be down", vehicles_named(RunSummary(summary).vehicles("vehicles_not_down"))))
     if summary["lost_vehicles"]:
         lines.append(("lost", vehicles_named(RunSummary(summary).vehicles("lost_vehicles"))))
     return lines

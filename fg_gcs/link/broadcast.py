@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import os
 import tempfile
 from pathlib import Path
@@ -60,7 +61,10 @@ class LineBroadcast:
         """
         path = folder / name
         if len(os.fsencode(path.absolute())) > MOST_PATH_BYTES:
-            path = Path(tempfile.gettempdir()) / f"fg-gcs-{os.getpid()}-{name}"
+            path = (
+                Path(tempfile.gettempdir())
+                / f"fg-gcs-{hashlib.sha256(os.fsencode(path.absolute())).hexdigest()[:16]}-{name}"
+            )
         readers: set[_Reader] = set()
         try:
             path.unlink(missing_ok=True)

@@ -20,6 +20,7 @@ from fg_gcs.mission.tables import (
     NetworkName,
     NetworkSystemId,
     NotNegative,
+    Plannable,
     Point,
     Positive,
     SystemId,
@@ -193,12 +194,20 @@ class PlanTable(MissionTable):
 class LimitsTable(MissionTable):
     """Limits that no vehicle exceeds; where a vehicle's own limit is lower, that one holds."""
 
-    speed_m_s: Positive = Field(description="a number above 0, the largest norm of a vehicle's velocity")
-    acceleration_m_s2: Positive = Field(description="a number above 0, the largest norm of a vehicle's acceleration")
-    climb_m_s: Positive | None = Field(default=None, description="a number above 0 (default: speed_m_s alone holds)")
-    descent_m_s: Positive | None = Field(default=None, description="a number above 0 (default: speed_m_s alone holds)")
-    jerk_m_s3: Positive | None = Field(default=None, description="a number above 0 (default: no limit)")
-    separation_m: Positive = Field(description="a number above 0, the smallest distance between two vehicles in metres")
+    speed_m_s: Plannable = Field(description="a number from 1e-6 to 1e6, the largest norm of a vehicle's velocity")
+    acceleration_m_s2: Plannable = Field(
+        description="a number from 1e-6 to 1e6, the largest norm of a vehicle's acceleration"
+    )
+    climb_m_s: Plannable | None = Field(
+        default=None, description="a number from 1e-6 to 1e6 (default: speed_m_s alone holds)"
+    )
+    descent_m_s: Plannable | None = Field(
+        default=None, description="a number from 1e-6 to 1e6 (default: speed_m_s alone holds)"
+    )
+    jerk_m_s3: Plannable | None = Field(default=None, description="a number from 1e-6 to 1e6 (default: no limit)")
+    separation_m: Plannable = Field(
+        description="a number from 1e-6 to 1e6, the smallest distance between two vehicles in metres"
+    )
 
 
 class FenceTable(MissionTable):
@@ -228,7 +237,7 @@ class PadsTable(MissionTable):
     first_enu_m: Ground = Field(
         default=(0.0, 0.0), description="[east, north] in metres, the pad of the first vehicle (default [0, 0])"
     )
-    spacing_m: Positive = Field(
+    spacing_m: Plannable = Field(
         default=3.0, description="a number of metres above the separation, between neighbouring pads (default 3)"
     )
 

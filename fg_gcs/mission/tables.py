@@ -23,6 +23,7 @@ class MissionTable(BaseModel):
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Plannable = Annotated[float, Field(ge=1e-6, le=1e6)]  # arithmetic still works with its square and its inverse
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Deviation = Annotated[float, Field(ge=0, le=1e6)]  # its square still counts beside those of metres

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from fg_gcs.errors import FgError, LinkError, MissionError, PlanError, VehicleError
     from fg_gcs.flight.sightings.own_source import OwnSightings
     from fg_gcs.flight.snapshot import RunEvent, Snapshot
+    from fg_gcs.link.clock import make_loop
     from fg_gcs.mission import Mission, load_mission, parse_mission
     from fg_gcs.run.flying import FlyOptions, Outcome, RunResult, fly, fly_blocking
     from fg_gcs.run.observing import Observer
@@ -39,6 +40,7 @@ _HOMES = {
     "fly": "fg_gcs.run.flying",
     "fly_blocking": "fg_gcs.run.flying",
     "load_mission": "fg_gcs.mission",
+    "make_loop": "fg_gcs.link.clock",
     "parse_mission": "fg_gcs.mission",
     "plan": "fg_gcs.run.planning",
     "report": "fg_gcs.run.reporting",
@@ -63,6 +65,7 @@ __all__ = [
     "fly",
     "fly_blocking",
     "load_mission",
+    "make_loop",
     "parse_mission",
     "plan",
     "report",

@@ -12,6 +12,8 @@ from datetime import datetime
 from enum import Enum
 from pathlib import Path
 
+import numpy as np
+
 from fg_gcs.errors import FgError, LinkError, MissionError
 from fg_gcs.flight.director import Director, FlightResult, Setup
 from fg_gcs.flight.sightings.own_source import OwnSightings
@@ -117,12 +119,12 @@ class RunResult:
 async def fly(mission: Mission, options: FlyOptions | None = None, observers: Sequence[Observer] = ()) -> RunResult:
     """Fly a mission on the running loop, whatever its time is: real, scaled or virtual.
 
-    Cancelling it brings the vehicles down first, as :meth:`Director.interrupt` does.
+    Cancelling it is :meth:`Director.interrupt`: the first time home, the second time down on the spot; then it ends.
 
     Args:
         mission: what to fly, see :func:`fg_gcs.mission.load_mission`.
         options: how; without them by the built-in simulator.
-        observers: hear of what happens; they cannot hold the flight up, nor end it by an exception.
+        observers: hear of what happens; what they raise ends nothing, but the time that they take is the flight's.
 
     Returns:
         What came of it; also when no vehicle answered, when there is no plan, and after a fault of this program.
@@ -196,15 +198,42 @@ class _OwnLoop(Observer):
 
 
 def _networks(mission: Mission, options: FlyOptions) -> Networks:
-    """Return where vehicles are that are there already; none: the simulator is to be started."""
+    """Return where vehicles are that are there already; none: the simulator is to be started.
+
+    Raises:
+        MissionError: an option is at fault.
+    """
+    if options.autopilot not in (None, "px4", "ardupilot"):
+        raise MissionError(f"autopilot {options.autopilot!r}; accepted: px4 or ardupilot")
+    for name in ("wait_s", "snapshot_hz"):
+        if not 0.0 < getattr(options, name) < math.inf:
+            raise MissionError(f"{name} = {getattr(options, name)}; accepted: a number above 0")
+    if isinstance(options.connect, str):
+        raise MissionError(f"connect = {options.connect!r}; accepted: a tuple of endpoints")
     unknown = {*options.motions, *options.sightings} - {target.name for target in mission.targets or ()}
     if unknown:
         raise MissionError(f"{mission.path}: no target is called {sorted(unknown)[0]!r}, so it can have no source")
+    for target, motion in options.motions.items():
+        _check_motion(target, motion)
     what = "--connect" if options.connect else f"{mission.path}: [networks]"
     try:
         return parse_networks(options.connect or mission.connections())
     except LinkError as error:
         raise MissionError(f"{what}: {error}") from error
+
+
+def _check_motion(target: str, motion: TrueMotion) -> None:
+    """Refuse a motion whose answers are no positions and velocities, before anything is armed."""
+    try:
+        found = [np.asarray(each, dtype=float) for each in motion.at(np.array([0.0, 1.0]))]
+    except Exception as error:  # whatever a motion of one's own does wrong
+        raise MissionError(f"the motion of {target} fails: {error!r}") from error
+    if [each.shape for each in found] != [(2, 3), (2, 3)] or not all(np.isfinite(each).all() for each in found):
+        shapes = " and ".join(str(each.shape) for each in found)
+        raise MissionError(
+            f"the motion of {target} returns arrays of shapes {shapes} for 2 times; accepted: position and velocity, "
+            "finite, each of shape (2, 3)"
+        )
 
 
 def _folder(mission: Mission, options: FlyOptions) -> Path:
@@ -235,17 +264,37 @@ async def _flown(
         director = Director(mission, setup, recorder)
         try:
             audience.watch(director, options.snapshot_hz)
-            await director.fly()
+            await _unhurt(director)
         except FgError as error:
             recorder.event(loop.time(), "error", str(error))
             return director, error
         except asyncio.CancelledError as error:  # the vehicles are down, and the caller wants no more of this
-            director.result.reason = "cancelled"
             return director, error
         except Exception as error:  # a bug: the vehicles are down, and the record is kept for whoever mends it
             recorder.event(loop.time(), "error", f"internal error: {error!r}")
             return director, error
     return director, None
+
+
+async def _unhurt(director: Director) -> None:
+    """Fly; being cancelled is being asked to stop: the first time by flying home, the second time by landing.
+
+    Raises:
+        CancelledError: it was cancelled, and the flight has ended.
+    """
+    flight = asyncio.ensure_future(director.fly())
+    cancelled: asyncio.CancelledError | None = None
+    while not flight.done():
+        try:
+            await asyncio.shield(flight)
+        except asyncio.CancelledError as error:
+            if flight.done():
+                raise
+            cancelled = error
+            director.interrupt("cancelled")
+    flight.result()
+    if cancelled is not None:
+        raise cancelled
 
 
 @asynccontextmanager
@@ -293,6 +342,7 @@ def _finished(
             write_report(recorder.folder)
         except (OSError, RunError) as problem:  # the disk is full, or the folder is gone
             recorder.event(now_s, "warning", f"the report cannot be written: {problem}")
+            summary = {**summary, "report": None}
     return RunResult(_outcome(flight, error), reason, summary, recorder.folder, flight, error)
 
 

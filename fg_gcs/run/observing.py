@@ -95,7 +95,7 @@ class Audience:
         for observer in tuple(observers):
             try:
                 call(observer)
-            except Exception as error:  # whatever it is, it is the observer's own
+            except (Exception, SystemExit, asyncio.CancelledError) as error:  # whatever it is, it is the observer's own
                 for known in (self._observers, self._pictured):
                     if observer in known:
                         known.remove(observer)

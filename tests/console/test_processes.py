@@ -166,3 +166,15 @@ def free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
+
+
+def test_a_reader_of_the_words_that_has_gone_costs_the_words_alone(tmp_path: Path) -> None:
+    mission = tmp_path / "small.toml"
+    mission.write_text(SMALL)
+    here, there = os.pipe()
+    os.close(here)
+    command = [*GCS, "fly", str(mission), "--logs", str(tmp_path / "logs"), "--json", "--speed", "max"]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=there, timeout=PATIENCE_S, check=False)
+    os.close(there)
+    assert done.returncode == 0
+    assert json.loads(done.stdout.splitlines()[-1])["completed"] is True

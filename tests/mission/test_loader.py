@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import load_mission
+from fg_gcs.mission.formats.toml import read_positions
 from fg_gcs.plan.targets import Target
 
 MISSIONS = Path(__file__).parents[2] / "missions"
@@ -39,8 +41,8 @@ def test_the_missions_that_come_along_are_good(path: Path) -> None:
         ("vehicles = 9", "vehicles = 9\nspeed = 3", "[swarm] speed: unknown key; accepted keys: vehicles, system_ids"),
         ("[target]", "[aim]\nx = 1\n[target]", "aim: unknown key; accepted tables and keys: description, swarm"),
         ("vehicles = 9", 'vehicles = "9"', "[swarm] vehicles: got '9'; accepted: a whole number from 3 to 250"),
-        ("speed_m_s = 10.0", "speed_m_s = true", "[limits] speed_m_s: got True; accepted: a number above 0"),
-        ("speed_m_s = 10.0", "", "[limits] speed_m_s: missing; accepted: a number above 0, the largest norm"),
+        ("speed_m_s = 10.0", "speed_m_s = true", "[limits] speed_m_s: got True; accepted: a number from 1e-6 to 1e6"),
+        ("speed_m_s = 10.0", "", "[limits] speed_m_s: missing; accepted: a number from 1e-6 to 1e6, the largest norm"),
         ("speed_m_s = 10.0", "speed_m_s = 0", "[limits] speed_m_s: got 0; accepted"),
         ("acceleration_m_s2 = 5.0", "acceleration_m_s2 = -5", "[limits] acceleration_m_s2: got -5; accepted"),
         ("speed_m_s = 10.0", "speed_m_s = nan", "[limits] speed_m_s: got nan; accepted"),
@@ -265,3 +267,33 @@ def test_vehicles_of_several_networks(tmp_path: Path) -> None:
     mission = load_mission(tmp_path / "networks.toml")
     assert mission.swarm.members() == tuple((name, n) for name in ("east", "up", "west") for n in (1, 2, 3))
     assert mission.connections() == ("west=udp:14550", "west=tcp:host:5760", "east=udp:14551", "up=udpout:14552")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[x" + ".a" * 3000 + "]\n", "n = " + "9" * 5000, "n = " + "[" * 2000 + "]" * 2000],
+    ids=["deep", "long", "nested"],
+)
+def test_what_no_parser_takes_is_one_line(text: str, tmp_path: Path) -> None:
+    (tmp_path / "hostile.toml").write_text(GOOD + text)
+    with pytest.raises(MissionError) as refused:
+        load_mission(tmp_path / "hostile.toml")
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(("key", "value"), [("speed_m_s", "1e-300"), ("acceleration_m_s2", "1e300")])
+def test_limits_that_no_arithmetic_works_with_are_refused(key: str, value: str, tmp_path: Path) -> None:
+    text = re.sub(rf"^{key} = .*$", f"{key} = {value}", GOOD, flags=re.MULTILINE)
+    assert text != GOOD
+    (tmp_path / "absurd.toml").write_text(text)
+    with pytest.raises(MissionError, match=rf"\[limits\] {key}: got 1e-?\+?300; accepted: a number from 1e-6 to 1e6"):
+        load_mission(tmp_path / "absurd.toml")
+
+
+def test_a_mission_is_a_file_that_has_an_end(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    for path in (tmp_path / "pipe.toml", Path("/dev/zero"), tmp_path):
+        with pytest.raises(MissionError, match="accepted: a mission file"):
+            load_mission(path)
+    with pytest.raises(MissionError, match="accepted: a CSV file"):
+        read_positions(Path("/dev/zero")).rows("lead", 0.5)

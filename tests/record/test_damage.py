@@ -1,6 +1,7 @@
 """Folders of runs with something missing, cut off or foreign: what is there is read, a line says what is not."""
 
 import json
+import os
 import random
 import warnings
 from collections.abc import Iterator
@@ -366,3 +367,17 @@ def test_a_report_of_nothing_but_damage_ends_with_one_line_or_shows_that_there_i
     told = capsys.readouterr().err.splitlines()
     assert code == (2 if how == "missing" else 0), told
     assert len(told) == 1 if code else told[-1].startswith("report: ")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(whole: Path, name: str, tmp_path: Path) -> None:
+    folder = tmp_path / whole.name
+    copytree(whole, folder)
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    if name == SUMMARY:  # without it this is no run
+        assert load_run(folder).remarks
+    else:
+        assert any("not a regular file" in remark or "seen.csv" in remark for remark in load_run(folder).remarks) or (
+            name.endswith(INDEX)
+        )

@@ -18,6 +18,7 @@ from fg_gcs.run import (
     MissionError,
     Observer,
     Outcome,
+    OwnSightings,
     RunEvent,
     RunResult,
     Snapshot,
@@ -224,3 +225,81 @@ def test_a_plan_can_be_had_without_flying(tmp_path: Path) -> None:
     assert (tmp_path / "plan.png").stat().st_size > 10_000
     with pytest.raises(PlanError, match=r"mission\.toml"):
         plan(parse_mission(IMPOSSIBLE))
+
+
+def test_cancelling_twice_lands_on_the_spot_and_the_summary_tells_the_truth(tmp_path: Path) -> None:
+    async def cancelled() -> None:
+        tasks: list[asyncio.Task[RunResult]] = []
+
+        def cancel(_: Watcher) -> None:
+            tasks[0].cancel()
+            asyncio.get_running_loop().call_later(0.3, tasks[0].cancel)
+
+        options = FlyOptions(logs=tmp_path, write_report=False)
+        tasks.append(asyncio.create_task(run_mission(parse_mission(SMALL), options, [Watcher("approach", cancel)])))
+        with pytest.raises(asyncio.CancelledError):
+            await tasks[0]
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(cancelled())
+    (folder,) = tmp_path.iterdir()
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["vehicles_landed"] == 4
+    assert summary["vehicles_not_down"] == []
+    assert "landing on the spot: cancelled" in (folder / "events.jsonl").read_text()
+
+
+@pytest.mark.parametrize("error", [SystemExit(1), asyncio.CancelledError(), KeyError("observer")], ids=repr)
+def test_whatever_an_observer_raises_ends_no_flight(error: BaseException, tmp_path: Path) -> None:
+    def fail(_: Watcher) -> None:
+        raise error
+
+    assert flown(tmp_path, Watcher("approach", fail)).completed
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"autopilot": "x"}, "accepted: px4 or ardupilot"),
+        ({"wait_s": -1.0}, "accepted: a number above 0"),
+        ({"wait_s": math.nan}, "accepted: a number above 0"),
+        ({"snapshot_hz": 0.0}, "accepted: a number above 0"),
+        ({"connect": "udpin:127.0.0.1:1"}, "accepted: a tuple"),
+        ({"motions": {"nobody": None}}, "no target is called 'nobody'"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused_before_anything_begins(
+    options: dict[str, object], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(MissionError, match=said):
+        flown(tmp_path, text=CIRCLING, **options)
+    assert not list(tmp_path.iterdir())
+
+
+class Wrong:
+    """A motion that answers in another shape, or not at all."""
+
+    top_speed_m_s, box_enu_m = 1.0, np.zeros((2, 3))
+
+    def __init__(self, answer: object) -> None:
+        self._answer = answer
+
+    def at(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if isinstance(self._answer, Exception):
+            raise self._answer
+        return self._answer  # type: ignore[return-value] # what is tried
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [None, np.zeros((2, 3)), (np.zeros(3),) * 2, (np.zeros((3, 2)),) * 2, (np.full((2, 3), np.nan),) * 2, KeyError()],
+)
+def test_motions_that_answer_wrongly_are_refused_before_anything_is_armed(answer: object, tmp_path: Path) -> None:
+    with pytest.raises(MissionError, match="the motion of lead"):
+        flown(tmp_path, text=CIRCLING, motions={"lead": Wrong(answer)})
+
+
+@pytest.mark.parametrize("place", [(1.0, 2.0), ((1.0, 2.0, 3.0),), "here", np.zeros((2, 3))], ids=repr)
+def test_sightings_that_are_no_three_numbers_are_refused_where_they_are_put(place: object) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011 # NumPy's own, for what is no number at all
+        OwnSightings().put(place)  # type: ignore[arg-type] # what is tried

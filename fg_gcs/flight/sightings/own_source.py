@@ -37,10 +37,17 @@ class OwnSightings:
             position_enu_m: east, north and up from the mission's origin [m].
             sigma_m: standard deviation along each axis [m].
             age_s: how long ago it was there [s].
+
+        Raises:
+            ValueError: these are no three numbers and two more.
         """
+        place = np.array(position_enu_m, dtype=float)
+        if place.shape != (3,) or np.ndim(sigma_m) or np.ndim(age_s):
+            raise ValueError(
+                f"a sighting at {position_enu_m!r}; accepted: three numbers, and one for sigma_m and age_s"
+            )
         if self._on_sighting is not None:
             now_s = asyncio.get_running_loop().time()
-            place = np.array(position_enu_m, dtype=float)
             self._on_sighting(Sighting(self._target, now_s - age_s, place, isotropic(sigma_m), now_s))
 
     def connect(self, target: str, on_sighting: OnSighting, on_failure: Callable[[str], None]) -> None:

@@ -28,6 +28,8 @@ def load_mission(path: Path) -> Mission:
         MissionError: one line that names file, table and key and says what would be accepted.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise MissionError(f"{path}: cannot be read: it is a folder or a device; accepted: a mission file")
         if path.stat().st_size > MAX_BYTES:
             raise MissionError(f"{path}: larger than {MAX_BYTES} bytes; accepted: a mission file, which has some 2 kB")
         text = path.read_bytes().decode()
@@ -53,13 +55,16 @@ def parse_mission(
     """
     try:
         tables = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # of its syntax, or numbers of thousands of digits
         raise _no_toml(path, error) from error
     read = files or (lambda named: read_positions(path.parent / named))
     named = {name: read(name) for name in dict.fromkeys(_named_files(tables))}
     try:
         # By way of JSON, whose lists the strict model takes for points; TOML's dates become text and are refused there
-        mission = Mission.model_validate_json(json.dumps(tables, default=str), context={FILES: named})
+        text_of_tables = json.dumps(tables, default=str)
+        mission = Mission.model_validate_json(text_of_tables, context={FILES: named})
+    except RecursionError as error:
+        raise _no_toml(path, error) from error
     except ValidationError as error:
         found = [_explained(details) for details in error.errors()]
         # One problem a key, the first: a key of several types is reported once for each of them
@@ -87,6 +92,8 @@ def read_positions(path: Path, name: str | None = None) -> PositionFile:
     """
     shown = str(path) if name is None else name
     try:
+        if path.exists() and not path.is_file():
+            return PositionFile(shown, b"", "not a file that has an end; accepted: a CSV file")
         if path.stat().st_size > MAX_POSITION_BYTES:
             return PositionFile(shown, b"", f"larger than {MAX_POSITION_BYTES} bytes")
         return PositionFile(shown, path.read_bytes())

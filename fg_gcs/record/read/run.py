@@ -15,6 +15,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.errors import FgError, MissionError
 from fg_gcs.mission import Mission
 from fg_gcs.mission.formats.toml import parse_mission, read_positions
+from fg_gcs.record.read.regular import regular
 from fg_gcs.record.read.summary import RunSummary
 from fg_gcs.record.read.tables import MOST_S, read_table
 from fg_gcs.record.write.layouts import LAYOUTS, Columns
@@ -178,7 +179,7 @@ def _begun(stem: str) -> datetime | None:
 def _mission(folder: Path) -> tuple[Mission | None, str | None]:
     """Read the mission as flown, the files that it names from the copies beside it."""
     try:
-        names = json.loads((folder / INPUTS / INDEX).read_bytes())
+        names = json.loads(regular(folder / INPUTS / INDEX).read_bytes())
     except (OSError, ValueError, RecursionError):
         names = {}
 
@@ -187,7 +188,7 @@ def _mission(folder: Path) -> tuple[Mission | None, str | None]:
         return folder / INPUTS / Path(name if isinstance(name, str) else path).name
 
     try:
-        text = (folder / MISSION).read_bytes().decode()
+        text = regular(folder / MISSION).read_bytes().decode()
         return parse_mission(text, Path(MISSION), lambda path: read_positions(copy_of(path), path)), None
     except OSError as error:
         return None, f"{MISSION}: cannot be read: {error.strerror or error}"
@@ -200,7 +201,7 @@ def _mission(folder: Path) -> tuple[Mission | None, str | None]:
 def _events(path: Path) -> tuple[tuple[LoggedEvent, ...], str | None]:
     """Read the events of all whole lines, and say how many others there are; a crash may have cut the last."""
     try:
-        lines = path.read_bytes().decode("utf-8", "replace").split("\n")
+        lines = regular(path).read_bytes().decode("utf-8", "replace").split("\n")
     except OSError as error:
         return (), f"{path.name}: cannot be read: {error.strerror or error}"
     found = [_event(line) for line in lines if line]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.record.read.regular import regular
 from fg_gcs.record.read.tables import MOST_S
 from fg_gcs.wire.address import VehicleAddress
 
@@ -33,7 +34,7 @@ class RunSummary:
     def read(cls, path: Path) -> RunSummary:
         """Read a summary; one that is damaged has no values."""
         try:
-            values = json.loads(path.read_bytes())
+            values = json.loads(regular(path).read_bytes())
         except OSError as error:
             return cls({}, (f"{path.name}: cannot be read: {error.strerror or error}",))
         except (ValueError, RecursionError) as error:

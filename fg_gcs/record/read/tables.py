@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from fg_gcs.record.read.regular import regular
 from fg_gcs.record.write.layouts import Columns, TableLayout
 from fg_gcs.wire.address import VehicleAddress
 
@@ -49,7 +50,7 @@ def read_table(path: Path, layout: TableLayout) -> ReadTable:
     """
     nothing = layout.columns_of(np.zeros(0, layout.dtype))
     try:
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             cells, missing = _cells(file, layout)
     except OSError as error:
         return ReadTable(nothing, f"{path.name}: cannot be read: {error.strerror or error}")
