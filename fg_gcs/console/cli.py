@@ -30,8 +30,9 @@ examples:
   fg-gcs bench record                                what recording nine vehicles takes of a core
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
-exit codes: 0 done, 1 the flight was aborted, and every vehicle is down, 2 bad input, 3 no vehicle answered, 4 internal error,
-  5 ended, but not everything is as it should be: recording incomplete, or a vehicle not known to be down
+exit codes: 0 done, 1 the flight was aborted, and every vehicle is down, 2 bad input, 3 no vehicle answered,
+  4 internal error, 5 ended, but not everything is as it should be:
+  recording incomplete, or a vehicle not known to be down
 """
 
 
