@@ -23,14 +23,19 @@ class Link:
     Args:
         streams_hz: messages sent unasked, and how often.
         start_s: before this nothing is sent.
+
+    Attributes:
+        next_s: before this no stream is due.
+        texts_open: whether it is sent status texts.
+        parameter_index: next of a running PARAM_REQUEST_LIST.
     """
 
     def __init__(self, streams_hz: Mapping[str, float], start_s: float) -> None:
         self._default_hz = streams_hz
         self._streams = {name: Stream(1.0 / hz, start_s) for name, hz in streams_hz.items()}
-        self._next_s = start_s
+        self.next_s = start_s
         self.texts_open = False
-        self.parameter_index: int | None = None  # next of a running PARAM_REQUEST_LIST
+        self.parameter_index: int | None = None
 
     def set_interval(self, name: str, period_s: float | None, now_s: float) -> None:
         """Send a message every `period_s` from now on; None stops it."""
@@ -38,7 +43,7 @@ class Link:
             self._streams.pop(name, None)
             return
         self._streams[name] = Stream(period_s, now_s + period_s)
-        self._next_s = min(self._next_s, now_s + period_s)
+        self.next_s = min(self.next_s, now_s + period_s)
 
     def default_period_s(self, name: str) -> float | None:
         """The interval that a message has when it was not asked for; None: not sent."""
@@ -52,7 +57,7 @@ class Link:
 
     def due(self, now_s: float) -> list[str]:
         """Messages due now. A stream that is late sends once and goes on at its own deadlines."""
-        if now_s < self._next_s - DUE_SLACK_S:
+        if now_s < self.next_s - DUE_SLACK_S:
             return []
         names = []
         for name, stream in self._streams.items():
@@ -60,5 +65,5 @@ class Link:
                 names.append(name)
                 missed = math.floor((now_s + DUE_SLACK_S - stream.due_s) / stream.period_s)
                 stream.due_s += (missed + 1) * stream.period_s
-        self._next_s = min((stream.due_s for stream in self._streams.values()), default=math.inf)
+        self.next_s = min((stream.due_s for stream in self._streams.values()), default=math.inf)
         return names

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 Fields = dict[str, Any]  # a MAVLink message's fields by name: numbers, texts, lists, as the dialect has them
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
-    """One good message from outside. Its *fields* are still hostile: NaN, infinity, any integer."""
+class Received(NamedTuple):
+    """One good message from outside. Its *values* are still hostile: NaN, infinity, any integer."""
 
     name: str
     system: int
     component: int
-    fields: Mapping[str, Any]
+    names: tuple[str, ...]  # of its fields, in the order of the wire
+    values: tuple[Any, ...]  # of its fields, likewise
+
+    @property
+    def fields(self) -> Fields:
+        """Its fields by name."""
+        return dict(zip(self.names, self.values, strict=True))
 
 
-@dataclass(frozen=True, slots=True)
-class Outgoing:
+class Outgoing(NamedTuple):
     """One message to send.
 
     `fields` None: as `telemetry` builds it from the vehicle's state. `link` is the index of the remote, None: all.

@@ -11,18 +11,21 @@ from __future__ import annotations
 import heapq
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import NamedTuple
 
 from sitl_mock.autopilot.guidance import BodyState, Guidance, GuidanceRules
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.autopilot.profile import Behaviour, FlightMode, ModeEvent, Need
 from sitl_mock.autopilot.setpoints import Interpretation, Pose, SetpointEffect, SetpointFields
+from sitl_mock.autopilot.table import VehicleTable, vec3
 from sitl_mock.links import Link
 from sitl_mock.messages import CommandResult, Fields, Landed, Outgoing, Severity, SystemStatus
 from sitl_mock.physics.geodesy import World
 from sitl_mock.physics.reference import Limits, Reference, Thrust, Vec3
 
 TEXT_CHUNK = 50  # STATUSTEXT.text
+WATCH_S = 0.1  # how often a vehicle that flies a stream looks after itself, beside the stream
 
 
 class Setup(NamedTuple):
@@ -31,9 +34,9 @@ class Setup(NamedTuple):
     system_id: int
     links: int
     real_boot: bool
-    pad_ned_m: Vec3  # world
-    origin_error_ned_m: Vec3  # local origin minus pad
+    row: int  # of the fleet's arrays
     drift_rad: float
+    sense: Callable[[float], BodyState]  # the vehicle as its estimator has it at a simulated time
 
 
 class Deferred(NamedTuple):
@@ -49,11 +52,12 @@ class Autopilot:
 
     Args:
         rules: what this autopilot does in a way of its own, with its profile.
-        setup: identity and place.
+        setup: identity and senses.
         world: the ground it flies over.
+        table: arrays that it shares with the fleet.
     """
 
-    def __init__(self, rules: Rules, setup: Setup, world: World) -> None:
+    def __init__(self, rules: Rules, setup: Setup, world: World, table: VehicleTable) -> None:
         self.rules = rules
         self.profile = profile = rules.profile
         self.world = world
@@ -65,12 +69,10 @@ class Autopilot:
         self.mode = self.intended = self.modes[profile.first_mode]
         self.links = [Link(profile.default_streams, self.boot.heartbeat_s) for _ in range(setup.links)]
         self.outbox: list[Outgoing] = []
-        self.body = BodyState(0.0, setup.pad_ned_m, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, True)
-        x, y, z = (p + e for p, e in zip(setup.pad_ned_m, setup.origin_error_ned_m, strict=True))
-        self.local_origin_ned_m: Vec3 = (x, y, z)
+        self.now_s = 0.0
+        self.table, self.row = table, setup.row
         self.origin_set = False
-        self.home_ned_m: Vec3 = setup.pad_ned_m
-        self.guidance.home_m = setup.pad_ned_m[:2]
+        self.guidance.home_m = self.home_ned_m[:2]
 
         self.armed = False
         self.airborne = False
@@ -88,6 +90,8 @@ class Autopilot:
         self.armed_at_s = -math.inf
         self.climb_since_s: float | None = None  # motors ready and something asks to leave the ground
         self.landed_at_s: float | None = None  # since the last arming
+        self._sense = setup.sense
+        self._body: BodyState | None = None  # at `now_s`, once it was needed
         self._texts = 0
         self._deferred: list[Deferred] = []
         self._orders = 0
@@ -121,14 +125,31 @@ class Autopilot:
     # -- what the vehicle is --------------------------------------------------------------------------------------
 
     @property
+    def body(self) -> BodyState:
+        """The vehicle now, as its estimator has it."""
+        if self._body is None:
+            self._body = self._sense(self.now_s)
+        return self._body
+
+    @property
+    def local_origin_ned_m(self) -> Vec3:
+        """Where its local frame has its zero; world."""
+        return vec3(self.table.origin_ned_m[self.row])
+
+    @property
+    def home_ned_m(self) -> Vec3:
+        """Where it was armed; world."""
+        return vec3(self.table.home_ned_m[self.row])
+
+    @property
     def ready(self) -> bool:
         """Whether the estimator has a position."""
-        return self.body.time_s >= self.boot.ready_s
+        return self.now_s >= self.boot.ready_s
 
     @property
     def booted(self) -> bool:
         """Whether commands are obeyed."""
-        return self.body.time_s >= self.boot.standby_s
+        return self.now_s >= self.boot.standby_s
 
     @property
     def status(self) -> SystemStatus:
@@ -155,7 +176,7 @@ class Autopilot:
             self.send_text(refusal)
             return self.profile.refused_arming
         self.armed = True
-        self.armed_at_s = self.body.time_s
+        self.armed_at_s = self.now_s
         self.climb_since_s = self.landed_at_s = None
         self.failsafe = None
         self.guidance.enter(self.body)
@@ -193,6 +214,10 @@ class Autopilot:
 
     def take_setpoint(self, fields: SetpointFields, now_s: float) -> None:
         """Act on a position target that arrives now, as far as the autopilot understands it."""
+        if fields.is_plain:  # what a stream consists of: the same for every autopilot
+            position_m = self.table.world_m(self.row, fields.position_m)
+            self.act_on(Interpretation(SetpointEffect.FLY, self.rules.streamed(fields, position_m, self)))
+            return
         pose = Pose(now_s, self.local_origin_ned_m, self.body.position_m, self.body.yaw_rad)
         self.act_on(self.rules.interpret(fields, pose, self.parameters))
 
@@ -201,13 +226,13 @@ class Autopilot:
         self.send_text(setpoint.text)
         if setpoint.effect is SetpointEffect.INVALID:
             return
-        self.setpoint_at_s = self.body.time_s
+        self.setpoint_at_s = self.now_s
         if self.rules.on_setpoint(self, setpoint.reference) and self.airborne:
             self.steer()
 
     def set_home(self, position_ned_m: Vec3) -> None:
         """Home is where the vehicle was armed."""
-        self.home_ned_m = position_ned_m
+        self.table.home_ned_m[self.row] = position_ned_m
         self.guidance.home_m = position_ned_m[:2]
         self.send("HOME_POSITION")
 
@@ -215,7 +240,7 @@ class Autopilot:
         """Move the local frame (in flight it jumps), if the autopilot can."""
         if not self.profile.origin_movable and (self.origin_set or not self.booted):
             return False
-        self.local_origin_ned_m = origin_ned_m
+        self.table.origin_ned_m[self.row] = origin_ned_m
         self.origin_set = True
         for name in self.profile.origin_messages:
             self.send(name)
@@ -223,16 +248,40 @@ class Autopilot:
 
     # -- time -----------------------------------------------------------------------------------------------------
 
-    def enter(self, body: BodyState) -> None:
-        """A new instant begins: what was deferred is sent, and booting goes on."""
-        elapsed_s = body.time_s - self.body.time_s
-        self.body = body
-        while self._deferred and self._deferred[0].due_s <= body.time_s:
-            self.outbox.append(heapq.heappop(self._deferred).message)
-        if not self.origin_set and body.time_s >= self.boot.origin_s:
-            self.set_origin(self.local_origin_ned_m)
+    def enter(self, now_s: float) -> None:
+        """A new instant begins."""
         if self.armed:
-            self.flown_s += elapsed_s
+            self.flown_s += now_s - self.now_s
+        self.now_s = now_s
+        self._body = None
+
+    def go_on(self) -> None:
+        """Send what was deferred, and boot on."""
+        while self._deferred and self._deferred[0].due_s <= self.now_s:
+            self.outbox.append(heapq.heappop(self._deferred).message)
+        if not self.origin_set and self.now_s >= self.boot.origin_s:
+            self.set_origin(self.local_origin_ned_m)
+        self.table.positioned[self.row] = self.ready
+
+    @property
+    def rests_until_s(self) -> float:
+        """When its logic has to run again if nothing reaches it until then, and it touches nothing.
+
+        Whoever stands disarmed, or flies a setpoint in the air, has nothing to decide from one step to the next.
+        """
+        if any(link.parameter_index is not None for link in self.links):
+            return self.now_s
+        due_s = self._deferred[0].due_s if self._deferred else math.inf
+        if not self.origin_set:
+            due_s = min(due_s, self.boot.origin_s)
+        if not self.ready:
+            due_s = min(due_s, self.boot.ready_s)
+        if not self.armed:
+            return due_s
+        follows = self.airborne and self.behaviour is Behaviour.FOLLOW and self.guidance.setpoint is not None
+        if not follows or self.failsafe is not None or self.landed is not Landed.IN_AIR:
+            return self.now_s
+        return min(due_s, self.now_s + WATCH_S, self.rules.stream_lost_at_s(self))
 
     @property
     def behaviour(self) -> Behaviour:
@@ -247,7 +296,8 @@ class Autopilot:
             self.thrust = Thrust.IDLE
         else:
             self.thrust = Thrust.FLY
-            self.reference, self.limits = self.guidance.fly(self.behaviour, self.body)
+            followed = self.guidance.followed() if self.behaviour is Behaviour.FOLLOW else None
+            self.reference, self.limits = followed or self.guidance.fly(self.behaviour, self.body)
 
     def after(self, event: ModeEvent) -> FlightMode:
         """The mode that follows an event in the present mode."""
@@ -273,7 +323,7 @@ class Autopilot:
 
     def fail(self, event: ModeEvent, mode_name: str, keep_intention: bool) -> None:
         """Enter a failsafe: change to a mode, or disarm if `mode_name` is empty."""
-        self.failsafe, self.failsafe_at_s = event, self.body.time_s
+        self.failsafe, self.failsafe_at_s = event, self.now_s
         if mode_name:
             self.change(self.modes[mode_name], keep_intention)
         else:
@@ -307,6 +357,16 @@ class Rules(GuidanceRules):
         """Read a position target."""
 
     @abstractmethod
+    def streamed(self, fields: SetpointFields, position_ned_m: Vec3, vehicle: Autopilot) -> Reference:
+        """The reference of a plain position target (`SetpointFields.is_plain`) that arrives now; as `interpret`.
+
+        Args:
+            fields: of the message.
+            position_ned_m: of the target; world.
+            vehicle: whom it is for.
+        """
+
+    @abstractmethod
     def on_setpoint(self, vehicle: Autopilot, reference: Reference | None) -> bool:
         """Take in a valid position target; None: brake, or hold.
 
@@ -317,6 +377,10 @@ class Rules(GuidanceRules):
     @abstractmethod
     def stream_fresh(self, vehicle: Autopilot) -> bool:
         """Whether a setpoint came recently enough for the streaming mode."""
+
+    @abstractmethod
+    def stream_lost_at_s(self, vehicle: Autopilot) -> float:
+        """When a stream that ends now is called lost; infinity: never."""
 
     @abstractmethod
     def watch_failsafes(self, vehicle: Autopilot) -> None:

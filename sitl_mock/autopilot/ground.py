@@ -57,8 +57,8 @@ class GroundWatch:
             vehicle.climb_since_s = None
             return
         if vehicle.climb_since_s is None:
-            vehicle.climb_since_s = max(vehicle.body.time_s, vehicle.armed_at_s + profile.ground.spool_s)
-        waited_s = vehicle.body.time_s - vehicle.climb_since_s
+            vehicle.climb_since_s = max(vehicle.now_s, vehicle.armed_at_s + profile.ground.spool_s)
+        waited_s = vehicle.now_s - vehicle.climb_since_s
         if takeoff and waited_s >= profile.ground.takeoff_state_s and vehicle.landed is Landed.ON_GROUND:
             vehicle.landed = Landed.TAKEOFF
             vehicle.send_text(profile.texts.takeoff_detected, Severity.INFO)
@@ -81,7 +81,7 @@ class GroundWatch:
 
     def _touch_down(self) -> None:
         """On the ground long enough while not asked to climb: landed."""
-        vehicle, profile, now_s = self._vehicle, self._vehicle.profile, self._vehicle.body.time_s
+        vehicle, profile, now_s = self._vehicle, self._vehicle.profile, self._vehicle.now_s
         if vehicle.mode.behaviour is Behaviour.RETURN and vehicle.guidance.descending:
             vehicle.landed = Landed.LANDING
         positioned = vehicle.behaviour is Behaviour.FOLLOW and not vehicle.reference.velocity_used[2]
@@ -99,7 +99,7 @@ class GroundWatch:
 
     def _disarm(self) -> None:
         """After a landing, or armed for too long without a take-off."""
-        vehicle, now_s, landed_at_s = self._vehicle, self._vehicle.body.time_s, self._vehicle.landed_at_s
+        vehicle, now_s, landed_at_s = self._vehicle, self._vehicle.now_s, self._vehicle.landed_at_s
         delay_s = vehicle.rules.landed_disarm_s(vehicle)
         if landed_at_s is not None and delay_s is not None:
             if delay_s > 0.0 and now_s - landed_at_s >= delay_s:

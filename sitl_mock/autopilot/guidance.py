@@ -21,7 +21,8 @@ PILOTLESS_RISE_M_S = 0.5  # PX4 STABILIZED without a pilot climbs away
 class BodyState(NamedTuple):
     """One vehicle's state at one instant, world NED."""
 
-    time_s: float
+    time_s: float  # simulated
+    clock_s: float  # since its boot, by its own clock
     position_m: Vec3
     velocity_m_s: Vec3
     acceleration_m_s2: Vec3
@@ -90,6 +91,8 @@ class Guidance:
         self.takeoff_height_m = 0.0  # above the ground
         self.setpoint: Reference | None = None
         self._destination: Reference | None = None
+        self._limits: dict[tuple[float, float | None, float | None], Limits] = {}  # of these parameters
+        self._limits_of = -1
         self.home_m: tuple[float, float] = (0.0, 0.0)  # north, east
 
     def enter(self, body: BodyState) -> None:
@@ -115,12 +118,12 @@ class Guidance:
         """Whether a return is on its last leg."""
         return self._stage is ReturnStage.DESCEND
 
+    def followed(self) -> tuple[Reference, Limits] | None:
+        """The newest setpoint, and the limits to fly it with; None: there is none to follow."""
+        return None if self.setpoint is None else (self.setpoint, self.limits(self._profile.step_gain_per_s))
+
     def fly(self, behaviour: Behaviour, body: BodyState) -> tuple[Reference, Limits]:
-        """The reference of this moment, and the limits to fly it with."""
-        if behaviour is Behaviour.FOLLOW:
-            if self.setpoint is not None:
-                return self.setpoint, self.limits(self._profile.step_gain_per_s)
-            return self._stay(body), self.limits()
+        """The reference of this moment, and the limits to fly it with; without a setpoint to follow it stays."""
         if behaviour is Behaviour.TAKEOFF:
             place = self._settled_place(body) or body.position_m[:2]
             climb_m_s = self._speed(self._profile.speeds.takeoff)
@@ -141,14 +144,21 @@ class Guidance:
         self, gain_per_s: float = OWN_GAIN_PER_S, climb_m_s: float | None = None, descent_m_s: float | None = None
     ) -> Limits:
         """What the parameters allow now."""
-        names = self._profile.speeds
-        return Limits(
-            speed_m_s=self._speed(names.horizontal),
-            climb_m_s=climb_m_s or self._speed(names.climb),
-            descent_m_s=descent_m_s or self._speed(names.descent),
-            acceleration_m_s2=self._speed(names.acceleration),
-            step_gain_per_s=gain_per_s,
-        )
+        if self._limits_of != self._parameters.changes:
+            self._limits_of = self._parameters.changes
+            self._limits.clear()
+        kind = (gain_per_s, climb_m_s, descent_m_s)
+        found = self._limits.get(kind)
+        if found is None:
+            names = self._profile.speeds
+            found = self._limits[kind] = Limits(
+                speed_m_s=self._speed(names.horizontal),
+                climb_m_s=climb_m_s or self._speed(names.climb),
+                descent_m_s=descent_m_s or self._speed(names.descent),
+                acceleration_m_s2=self._speed(names.acceleration),
+                step_gain_per_s=gain_per_s,
+            )
+        return found
 
     def _speed(self, name: str) -> float:
         """A parameter of speed or acceleration in SI units."""

@@ -49,6 +49,9 @@ class Parameters:
     Args:
         profile: whose parameters, and how they are encoded.
         system_id: value of the profile's `system_id_parameter`.
+
+    Attributes:
+        changes: how often a value was changed.
     """
 
     def __init__(self, profile: AutopilotProfile, system_id: int) -> None:
@@ -56,6 +59,7 @@ class Parameters:
         rows = sorted(profile.parameters.items())
         self._table = {name: Parameter(default.type, default.value, default.value) for name, default in rows}
         self._names = list(self._table)
+        self.changes = 0
         own = self._table[profile.system_id_parameter]
         own.value = own.default = float(system_id)
 
@@ -120,6 +124,7 @@ class Parameters:
             new = value if parameter.type == "REAL32" else _clipped(value, parameter.type)
         changed = new != parameter.value
         parameter.value = new
+        self.changes += changed
         return changed
 
 

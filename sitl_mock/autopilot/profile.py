@@ -161,7 +161,6 @@ class AutopilotProfile:
     boot: Boot
     quick_boot: Boot
     booting_status: SystemStatus
-    position_before_ready: bool  # LOCAL_POSITION_NED is sent before the estimator has a position
     origin_movable: bool  # at any time; else only before there is one
     origin_messages: tuple[str, ...]  # sent when the origin is set
     # Who is obeyed, and how it is answered

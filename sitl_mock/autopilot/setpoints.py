@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Any
+from typing import Any, NamedTuple
 
 from sitl_mock.physics.reference import Reference, Vec3
 
 FORCE_BIT, YAW_BIT, YAW_RATE_BIT = 0x200, 0x400, 0x800  # of POSITION_TARGET_TYPEMASK
+PLAIN_MASK = YAW_RATE_BIT
+LARGEST_PLAIN = 1e6  # of the square of all numbers; whatever is beyond is read with care
 LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9  # MAV_FRAME
 LETHAL = "this setpoint would have killed a real SITL"
 
@@ -28,8 +29,7 @@ class SetpointEffect(Enum):
     INVALID = auto()  # PX4: does not count as a setpoint, one text per message
 
 
-@dataclass(frozen=True, slots=True)
-class Interpretation:
+class Interpretation(NamedTuple):
     """A setpoint as an autopilot understands it: a reference to fly, or what it does instead and a status text."""
 
     effect: SetpointEffect
@@ -37,8 +37,7 @@ class Interpretation:
     text: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class SetpointFields:
+class SetpointFields(NamedTuple):
     """The fields of SET_POSITION_TARGET_LOCAL_NED, grouped; SI units, NED, the type mask not yet applied."""
 
     mask: int
@@ -62,6 +61,16 @@ class SetpointFields:
             fields["yaw_rate"],
         )
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether it says everything but a yaw rate, in the local frame and in numbers."""
+        if self.mask != PLAIN_MASK or self.frame != LOCAL_NED:
+            return False
+        (x, y, z), (u, v, w), (a, b, c) = self.position_m, self.velocity_m_s, self.acceleration_m_s2
+        # One comparison for all ten: NaN makes it false as infinity does.
+        length = x * x + y * y + z * z + u * u + v * v + w * w + a * a + b * b + c * c
+        return length + self.yaw_rad * self.yaw_rad < LARGEST_PLAIN
+
     def heading(self) -> tuple[float | None, float]:
         """Yaw [rad] (None: not given) and yaw rate [rad/s]; numbers that are not finite count as not given."""
         given = not self.mask & YAW_BIT and math.isfinite(self.yaw_rad)
@@ -72,8 +81,7 @@ class SetpointFields:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(NamedTuple):
     """What a setpoint is relative to: the time, the vehicle's place and heading, and the origin of its local frame."""
 
     now_s: float

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +14,17 @@ import numpy as np
 from sitl_mock import profiles
 from sitl_mock.autopilot.autopilot import Autopilot, Setup
 from sitl_mock.autopilot.guidance import BodyState
+from sitl_mock.autopilot.table import VehicleTable, vec3
 from sitl_mock.host.vehicle import Vehicle
+from sitl_mock.links import DUE_SLACK_S
+from sitl_mock.messages import Outgoing
 from sitl_mock.physics.constants import Physics, load_physics
 from sitl_mock.physics.geodesy import Geodetic, World
 from sitl_mock.physics.particles import Particles
-from sitl_mock.physics.reference import Limits, Reference, Thrust, Vec3
+from sitl_mock.physics.reference import Limits, Reference, Thrust
+from sitl_mock.protocol.codec import encode_rows
+from sitl_mock.protocol.layouts import layout
+from sitl_mock.protocol.rows import Scene, sendable
 
 TIME_SLACK_S = 1e-9  # a step whose time floating point put a hair behind now is due
 WORST_ERROR_SIGMAS = 2.2  # measured origins: standard deviation 0.17 and 0.35 m, worst 0.39 and 0.75 m
@@ -100,27 +107,25 @@ class Fleet:
 
     def __init__(self, options: FleetOptions, links: int = 1) -> None:
         self.physics: Physics = load_physics()
-        rules, dialect = profiles.strategy(options.autopilot)
+        rules, self._dialect = profiles.strategy(options.autopilot)
         self.profile = rules.profile
-        world = World(Geodetic(*options.origin_deg_m))
+        self._world = World(Geodetic(*options.origin_deg_m))
         pads_ned_m = np.array([(north, east, 0.0) for east, north in options.pads_enu_m]).reshape(-1, 3)  # (V, 3)
         errors, drifts, wind = np.random.default_rng(options.seed).spawn(3)
         self.swarm = Particles(self.physics, pads_ned_m, options.wind_m_s, wind)
         sigma = np.array([rules.profile.position_error_m[0]] * 2 + [rules.profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma
+        self._table = VehicleTable(pads_ned_m, noise)
         self.vehicles = []
         for k, system_id in enumerate(options.system_ids):
-            setup = Setup(
-                system_id,
-                links,
-                options.real_boot,
-                _vec3(pads_ned_m[k].tolist()),
-                _vec3(noise[k].tolist()),
-                float(drifts.uniform(-np.pi, np.pi)),
-            )
-            self.vehicles.append(Vehicle(Autopilot(rules, setup, world), dialect))
+            drift_rad = float(drifts.uniform(-np.pi, np.pi))
+            setup = Setup(system_id, links, options.real_boot, k, drift_rad, partial(self._body, k))
+            autopilot = Autopilot(rules, setup, self._world, self._table)
+            self.vehicles.append(Vehicle(autopilot, self._dialect))
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
+        self._rests_until_s = [0.0] * len(self.vehicles)
         self._step = 0
+        self._scene: Scene | None = None  # the newest
 
     @property
     def time_s(self) -> float:
@@ -139,28 +144,40 @@ class Fleet:
                 sent += self._think()
             self.swarm.step()
             self._step += 1
+            self._scene = None
         return sent
 
     def receive(self, vehicle: int, link: int, data: bytes, now_s: float) -> list[Sent]:
         """Give one datagram to one vehicle, after `advance(now_s)`."""
-        body = self._body(vehicle, now_s)
-        sent = [Sent(vehicle, *d) for d in self.vehicles[vehicle].receive(link, data, body)]
+        said = self.vehicles[vehicle].receive(link, data, now_s)
+        rests_until_s = self.vehicles[vehicle].autopilot.rests_until_s
+        if rests_until_s < self._rests_until_s[vehicle]:
+            self._rests_until_s[vehicle] = rests_until_s
         self._command(vehicle)
-        return sent
+        return self._packed(vehicle, said, now_s) if said else []
 
     def telemetry(self, now_s: float) -> list[Sent]:
-        """All streams that are due, after `advance(now_s)`."""
-        due = [(k, vehicle.telemetry(now_s)) for k, vehicle in enumerate(self.vehicles)]
-        if not any(names for _, names in due):
-            return []
-        bodies = list(self._bodies(now_s))
-        return [Sent(k, *d) for k, names in due if names for d in self.vehicles[k].pack(names, bodies[k])]
+        """All streams that are due, after `advance(now_s)`: each message of all vehicles in one pass."""
+        due: dict[str, list[tuple[int, int]]] = {}  # by message: vehicle and link
+        for k, vehicle in enumerate(self.vehicles):
+            for j, link in enumerate(vehicle.autopilot.links):
+                if now_s >= link.next_s - DUE_SLACK_S:
+                    for name in link.due(now_s):
+                        due.setdefault(name, []).append((k, j))
+        return [sent for name, whom in due.items() for sent in self._streamed(name, whom, now_s)]
 
     def _think(self) -> list[Sent]:
+        """Run the logic of every vehicle that has something to decide."""
         sent: list[Sent] = []
-        for k, body in enumerate(self._bodies(self.swarm.time_s)):
-            sent += (Sent(k, *d) for d in self.vehicles[k].update(body))
-            self._command(k)
+        now_s = self.swarm.time_s
+        for k, touches in enumerate(self.swarm.in_contact.tolist()):
+            vehicle = self.vehicles[k]
+            if now_s >= self._rests_until_s[k] - TIME_SLACK_S or (touches and vehicle.autopilot.airborne):
+                said = vehicle.update(now_s)
+                if said:
+                    sent += self._packed(k, said, now_s)
+                self._rests_until_s[k] = vehicle.autopilot.rests_until_s
+                self._command(k)
         return sent
 
     def _command(self, vehicle: int) -> None:
@@ -174,34 +191,72 @@ class Fleet:
             self.swarm.commands.set(vehicle, *given, self.physics.tracking)
         self.swarm.commands.flying[vehicle] = True
 
-    def _bodies(self, now_s: float) -> Iterator[BodyState]:
-        positions_m, velocities_m_s = (array.tolist() for array in self.swarm.at(now_s))
-        swarm = self.swarm
-        rows = zip(
-            positions_m,
-            velocities_m_s,
-            swarm.acceleration_m_s2.tolist(),
-            swarm.yaw_rad.tolist(),
-            swarm.yaw_rate_rad_s.tolist(),
-            swarm.in_contact.tolist(),
-            strict=True,
-        )
-        for position, velocity, acceleration, yaw_rad, rate_rad_s, contact in rows:
-            yield BodyState(now_s, _vec3(position), _vec3(velocity), _vec3(acceleration), yaw_rad, rate_rad_s, contact)
+    # -- packing --------------------------------------------------------------------------------------------------
+
+    def _streamed(self, name: str, whom: list[tuple[int, int]], now_s: float) -> Iterator[Sent]:
+        """One message of several vehicles, each on a link."""
+        builder = self._dialect.row_builders.get(name)
+        if builder is None:
+            for k, link in whom:
+                self.vehicles[k].autopilot.enter(now_s)
+                yield from self._packed(k, [Outgoing(name, None, link)], now_s)
+            return
+        scene = self._scene_at(now_s)
+        whom = [(k, link) for k, link in whom if sendable(builder, scene, k)]
+        if whom:
+            payloads = builder.payloads(scene, np.array([k for k, _ in whom]))
+            codecs = [self.vehicles[k].codecs[link] for k, link in whom]
+            ids = [self.vehicles[k].autopilot.system_id for k, _ in whom]
+            for (k, link), data in zip(whom, encode_rows(layout(name), payloads, codecs, ids), strict=True):
+                yield Sent(k, link, data)
+
+    def _packed(self, vehicle: int, messages: list[Outgoing], now_s: float) -> list[Sent]:
+        """What a vehicle says, as bytes; what it cannot say now is left out."""
+        sent: list[Sent] = []
+        codecs, autopilot = self.vehicles[vehicle].codecs, self.vehicles[vehicle].autopilot
+        for name, fields, only in messages:
+            links = range(len(codecs)) if only is None else (only,)
+            if fields is None and name in self._dialect.row_builders:
+                sent += self._streamed(name, [(vehicle, link) for link in links], now_s)
+                continue
+            if fields is None:
+                fields = self._dialect.fields_of(name, autopilot)
+            if fields is not None:
+                sent += [Sent(vehicle, link, codecs[link].encode(name, fields, autopilot.system_id)) for link in links]
+        return [one for one in sent if one.data]
+
+    def _scene_at(self, now_s: float) -> Scene:
+        """All vehicles at a time inside the present step."""
+        if self._scene is None or self._scene.time_s != now_s:
+            position_m, velocity_m_s = self.swarm.at(now_s)
+            roll_rad, pitch_rad = self.swarm.attitude_rad()
+            swarm, table = self.swarm, self._table
+            clocks_s = (now_s - table.clock_zero_s) * table.clock_rate
+            self._scene = Scene(
+                clocks_s,
+                position_m,
+                velocity_m_s,
+                roll_rad,
+                pitch_rad,
+                swarm.yaw_rad,
+                swarm.yaw_rate_rad_s,
+                swarm.commands,
+                table,
+                self._world,
+                now_s,
+            )
+        return self._scene
 
     def _body(self, vehicle: int, now_s: float) -> BodyState:
-        swarm = self.swarm
-        positions_m, velocities_m_s = swarm.at(now_s)
+        """One vehicle at a time inside the present step."""
+        scene, swarm = self._scene_at(now_s), self.swarm
         return BodyState(
             now_s,
-            _vec3(positions_m[vehicle].tolist()),
-            _vec3(velocities_m_s[vehicle].tolist()),
-            _vec3(swarm.acceleration_m_s2[vehicle].tolist()),
-            float(swarm.yaw_rad[vehicle]),
-            float(swarm.yaw_rate_rad_s[vehicle]),
-            bool(positions_m[vehicle, 2] > -self.physics.ground.contact_m),
+            float(scene.clock_s[vehicle]),
+            vec3(scene.position_m[vehicle]),
+            vec3(scene.velocity_m_s[vehicle]),
+            vec3(swarm.acceleration_m_s2[vehicle]),
+            float(scene.yaw_rad[vehicle]),
+            float(scene.yaw_rate_rad_s[vehicle]),
+            bool(scene.position_m[vehicle, 2] > -self.physics.ground.contact_m),
         )
-
-
-def _vec3(values: list[float]) -> Vec3:
-    return (values[0], values[1], values[2])

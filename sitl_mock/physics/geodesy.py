@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 SEMI_MAJOR_M = 6378137.0  # WGS84
 FLATTENING = 1.0 / 298.257223563  # WGS84
 ECCENTRICITY2 = FLATTENING * (2.0 - FLATTENING)
@@ -71,6 +74,11 @@ class World:
             self._origin_m[1] + sin_l * outwards_m + cos_l * east_m,
             self._origin_m[2] + cos_b * north_m - sin_b * down_m,
         )
+
+    def geodetic_rows(self, position_ned_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The points at NED metres (N, 3) from the origin: latitude, longitude [deg] and altitude [m], (N, 3)."""
+        points = [self.geodetic(*position) for position in position_ned_m.tolist()]
+        return np.array([(p.latitude_deg, p.longitude_deg, p.altitude_m) for p in points]).reshape(-1, 3)
 
     def ned_m(self, point: Geodetic) -> tuple[float, float, float]:
         """NED metres from the origin to a point."""

@@ -107,6 +107,14 @@ class Particles:
         """(V,) whether a vehicle stands on the ground."""
         return self.position_m[:, 2] > -self.physics.ground.contact_m
 
+    def attitude_rad(self) -> tuple[Array, Array]:
+        """Roll and pitch (V,) whose thrust gives the acceleration that a particle has; level on the ground."""
+        cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        a = self.acceleration_m_s2 * ~self.in_contact[:, None]
+        lift_m_s2 = np.maximum(self.physics.body.gravity_m_s2 - a[:, 2], 0.1)
+        pitch_rad = np.arctan2(-(cos * a[:, 0] + sin * a[:, 1]), lift_m_s2)
+        return np.arctan2((cos * a[:, 1] - sin * a[:, 0]) * np.cos(pitch_rad), lift_m_s2), pitch_rad
+
     def step(self) -> None:
         """Advance every vehicle by one physics step."""
         dt_s = self.physics.time.step_s

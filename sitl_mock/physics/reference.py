@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 Vec3 = tuple[float, float, float]
 Flags3 = tuple[bool, bool, bool]
@@ -26,8 +26,7 @@ class Thrust(IntEnum):
     FLY = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(NamedTuple):
     """Speeds and acceleration that the autopilot allows itself, from its parameters.
 
     `acceleration_m_s2` bounds corrections and steps; a fed-forward acceleration may exceed it up to what the body can.
@@ -40,8 +39,7 @@ class Limits:
     step_gain_per_s: float  # [1/s] approach to a position without velocity feed-forward
 
 
-@dataclass(frozen=True, slots=True)
-class Reference:
+class Reference(NamedTuple):
     """One target, valid from `since_s` on, in world NED.
 
     Axes that are in neither `position_used` nor `velocity_used` fly open loop with `acceleration`. The target runs on

@@ -43,6 +43,7 @@ from sitl_mock.physics.reference import ALL, NONE, ZERO, Reference, Vec3, plus
 from sitl_mock.protocol import commands, services, telemetry
 from sitl_mock.protocol.commands import Command
 from sitl_mock.protocol.dialect import Dialect, Strategy
+from sitl_mock.protocol.rows import ROW_BUILDERS
 
 # -- numbers, names and texts -----------------------------------------------------------------------------------------
 
@@ -106,7 +107,6 @@ PROFILE = AutopilotProfile(
     boot=Boot(heartbeat_s=1.02, standby_s=2.46, origin_s=20.02, ready_s=41.5),
     quick_boot=Boot(heartbeat_s=0.2, standby_s=0.3, origin_s=1.0, ready_s=1.2),
     booting_status=SystemStatus.BOOT,
-    position_before_ready=False,
     origin_movable=False,
     origin_messages=("GPS_GLOBAL_ORIGIN", "HOME_POSITION"),
     target_components=None,
@@ -234,6 +234,20 @@ class ArduPilotRules(Rules):
             ),
         )
 
+    def streamed(self, fields: SetpointFields, position_ned_m: Vec3, vehicle: Autopilot) -> Reference:
+        """Run on by GUID_TIMEOUT, and lapse."""
+        return Reference(
+            position_ned_m,
+            fields.velocity_m_s,
+            fields.acceleration_m_s2,
+            ALL,
+            ALL,
+            math.remainder(fields.yaw_rad, 2.0 * math.pi),
+            since_s=vehicle.now_s,
+            carry_s=max(vehicle.parameters["GUID_TIMEOUT"], 0.1),
+            lapses=True,
+        )
+
     def on_setpoint(self, vehicle: Autopilot, reference: Reference | None) -> bool:
         """Drop it outside GUIDED; before lift-off it cancels the take-off in silence."""
         if vehicle.mode.name != self.profile.stream_mode:
@@ -249,12 +263,16 @@ class ArduPilotRules(Rules):
         """Always: targets lapse by themselves (GUID_TIMEOUT), the mode stays."""
         return True
 
+    def stream_lost_at_s(self, vehicle: Autopilot) -> float:
+        """Never."""
+        return math.inf
+
     def watch_failsafes(self, vehicle: Autopilot) -> None:
         """The ground station, once it was heard; when it is back the mode stays."""
         if not math.isfinite(vehicle.gcs_heard_at_s):
             return
         action, limit_s = int(vehicle.parameters["FS_GCS_ENABLE"]), vehicle.parameters["FS_GCS_TIMEOUT"]
-        lost = vehicle.body.time_s - vehicle.gcs_heard_at_s > limit_s
+        lost = vehicle.now_s - vehicle.gcs_heard_at_s > limit_s
         modes = self.profile.failsafe_modes[ModeEvent.GCS_LOST]
         if lost and not vehicle.gcs_missed and action in modes:
             vehicle.gcs_missed = True
@@ -448,5 +466,6 @@ STRATEGY = Strategy(
             dict(telemetry.BUILDERS)
             | {"POSITION_TARGET_LOCAL_NED": _position_target, "EKF_STATUS_REPORT": _ekf_status_report}
         ),
+        row_builders=ROW_BUILDERS,
     ),
 )

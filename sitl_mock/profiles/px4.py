@@ -6,6 +6,9 @@ import math
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sitl_mock.autopilot.autopilot import Autopilot, Rules
 from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.autopilot.parameters import ERROR_NAME, UNINDEXED, Parameters, WriteRefused, read_defaults
@@ -33,10 +36,12 @@ from sitl_mock.autopilot.setpoints import (
     turned,
 )
 from sitl_mock.messages import CommandResult, Fields, Outgoing, Received, Severity, SystemStatus
-from sitl_mock.physics.reference import Flags3, Reference, Vec3, plus
+from sitl_mock.physics.reference import ALL, Flags3, Reference, Vec3, plus
 from sitl_mock.protocol import commands, services, telemetry
 from sitl_mock.protocol.commands import Command, acknowledgement
 from sitl_mock.protocol.dialect import Dialect, Strategy
+from sitl_mock.protocol.layouts import layout
+from sitl_mock.protocol.rows import ROW_BUILDERS, RowBuilder, Rows, Scene, local_position
 
 # -- numbers, names and texts -----------------------------------------------------------------------------------------
 
@@ -108,7 +113,6 @@ PROFILE = AutopilotProfile(
     boot=Boot(heartbeat_s=1.2, standby_s=3.9, origin_s=1.2, ready_s=3.9),
     quick_boot=Boot(heartbeat_s=0.2, standby_s=1.0, origin_s=0.2, ready_s=1.0),
     booting_status=SystemStatus.UNINIT,
-    position_before_ready=True,
     origin_movable=True,
     origin_messages=("GPS_GLOBAL_ORIGIN",),
     target_components=frozenset({0, 1}),
@@ -205,7 +209,7 @@ class Px4Rules(Rules):
     def arming_refusal(self, vehicle: Autopilot) -> str | None:
         """One text for every reason."""
         gcs_needed = vehicle.parameters["NAV_DLL_ACT"] > 0
-        gcs_missing = vehicle.body.time_s - vehicle.gcs_heard_at_s > vehicle.parameters["COM_DL_LOSS_T"]
+        gcs_missing = vehicle.now_s - vehicle.gcs_heard_at_s > vehicle.parameters["COM_DL_LOSS_T"]
         unable = not vehicle.ready or not vehicle.mode.armable or vehicle.lacks(vehicle.mode)
         return "Arming denied: Resolve system health failures first" if unable or (gcs_needed and gcs_missing) else None
 
@@ -251,6 +255,19 @@ class Px4Rules(Rules):
             ),
         )
 
+    def streamed(self, fields: SetpointFields, position_ned_m: Vec3, vehicle: Autopilot) -> Reference:
+        """Every axis counts."""
+        return Reference(
+            position_ned_m,
+            fields.velocity_m_s,
+            fields.acceleration_m_s2,
+            ALL,
+            ALL,
+            math.remainder(fields.yaw_rad, 2.0 * math.pi),
+            since_s=vehicle.now_s,
+            carry_s=_CARRY_S,
+        )
+
     def on_setpoint(self, vehicle: Autopilot, reference: Reference | None) -> bool:
         """Keep it in every mode; without a reference the vehicle stays where it is from here on."""
         if reference is None and vehicle.guidance.setpoint is not None:
@@ -260,8 +277,11 @@ class Px4Rules(Rules):
 
     def stream_fresh(self, vehicle: Autopilot) -> bool:
         """Within COM_OF_LOSS_T, and a little."""
-        pause_s = vehicle.body.time_s - vehicle.setpoint_at_s
-        return pause_s <= vehicle.parameters["COM_OF_LOSS_T"] + _STREAM_DETECTION_S
+        return vehicle.now_s <= self.stream_lost_at_s(vehicle)
+
+    def stream_lost_at_s(self, vehicle: Autopilot) -> float:
+        """COM_OF_LOSS_T after the last setpoint, and a little."""
+        return vehicle.setpoint_at_s + vehicle.parameters["COM_OF_LOSS_T"] + _STREAM_DETECTION_S
 
     def watch_failsafes(self, vehicle: Autopilot) -> None:
         """The ground station, once it was heard, then the stream of setpoints."""
@@ -274,7 +294,7 @@ class Px4Rules(Rules):
         """Hold for COM_FAIL_ACT_T, then return or land; heartbeats that come back cancel nothing."""
         action = int(vehicle.parameters["NAV_DLL_ACT"])
         limit_s = vehicle.parameters["COM_DL_LOSS_T"] + _GCS_DETECTION_S
-        lost = vehicle.body.time_s - vehicle.gcs_heard_at_s > limit_s
+        lost = vehicle.now_s - vehicle.gcs_heard_at_s > limit_s
         modes = self.profile.failsafe_modes[ModeEvent.GCS_LOST]
         if lost and not vehicle.gcs_missed and action in modes:
             vehicle.gcs_missed = True
@@ -285,7 +305,7 @@ class Px4Rules(Rules):
         later = self.profile.failsafe_modes[ModeEvent.FAILSAFE_DELAY_OVER].get(action)
         if later is None or vehicle.failsafe is not ModeEvent.GCS_LOST:
             return
-        if vehicle.body.time_s - vehicle.failsafe_at_s >= vehicle.parameters["COM_FAIL_ACT_T"]:
+        if vehicle.now_s - vehicle.failsafe_at_s >= vehicle.parameters["COM_FAIL_ACT_T"]:
             vehicle.change(vehicle.modes[later], keep_intention=True)
 
     def _watch_stream(self, vehicle: Autopilot) -> None:
@@ -478,15 +498,26 @@ def _send_parameter_error(vehicle: Autopilot, message: Received, name: str, link
 # -- telemetry --------------------------------------------------------------------------------------------------------
 
 
-def _position_target(vehicle: Autopilot, body: BodyState) -> Fields:
-    yaw_rad = 0.0 if vehicle.reference.yaw_rad is None else vehicle.reference.yaw_rad
-    nowhere = [math.nan] * 3
-    if not vehicle.airborne:
-        return telemetry.position_target(body, (*nowhere, *nowhere, math.nan, math.nan, 100.0), 63, yaw_rad)
-    target = telemetry.running_target(vehicle, body)
-    position_m, mask = (target.position_m, 0) if target.placed else (nowhere, 7)
-    axes = (*position_m, *target.velocity_m_s, *target.acceleration_m_s2)
-    return telemetry.position_target(body, axes, mask, yaw_rad)
+def _position_target(scene: Scene, rows: Rows) -> NDArray[np.void]:
+    """POSITION_TARGET_LOCAL_NED: the controller's setpoint, run on to the present."""
+    commands = scene.commands
+    made = layout("POSITION_TARGET_LOCAL_NED").rows(len(rows))
+    run_s = np.minimum(np.maximum(scene.time_s - commands.since_s[rows], 0.0), commands.carry_s[rows])[:, None]
+    acceleration_m_s2 = commands.acceleration_m_s2[rows]
+    velocity_m_s = commands.velocity_m_s[rows] + acceleration_m_s2 * run_s
+    moved_m = (commands.velocity_m_s[rows] + 0.5 * acceleration_m_s2 * run_s) * run_s
+    position_m = scene.table.local_m(rows, commands.position_m[rows] + moved_m)
+    flying = commands.flying[rows]
+    placed = commands.position_used[rows].all(axis=1) & flying
+    on_ground = (math.nan, math.nan, 100.0)  # of acceleration: measured
+    for k, axis in enumerate("xyz"):
+        made[axis] = np.where(placed, position_m[:, k], math.nan)
+        made["v" + axis] = np.where(flying, velocity_m_s[:, k], math.nan)
+        made["af" + axis] = np.where(flying, acceleration_m_s2[:, k], on_ground[k])
+    made["yaw"] = np.where(commands.yaw_used[rows], commands.yaw_rad[rows], 0.0)
+    made["type_mask"] = np.where(flying, np.where(placed, 0, 7), 63)
+    made["coordinate_frame"] = LOCAL_NED
+    return made
 
 
 def _current_mode(vehicle: Autopilot, body: BodyState) -> Fields:
@@ -556,9 +587,15 @@ STRATEGY = Strategy(
         builders=MappingProxyType(
             dict(telemetry.BUILDERS)
             | {
-                "POSITION_TARGET_LOCAL_NED": _position_target,
                 "CURRENT_MODE": _current_mode,
                 "ALTITUDE": _altitude,
+            }
+        ),
+        row_builders=MappingProxyType(
+            dict(ROW_BUILDERS)
+            | {
+                "LOCAL_POSITION_NED": RowBuilder(local_position),  # sent before there is a position
+                "POSITION_TARGET_LOCAL_NED": RowBuilder(_position_target),
             }
         ),
     ),

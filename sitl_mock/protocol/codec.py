@@ -1,18 +1,27 @@
-"""Bytes <-> messages for one vehicle on one link: the only file that knows pymavlink (its dialect module)."""
+"""Bytes <-> messages for one vehicle on one link: frames are cut, checked and finished here."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Any
+from collections.abc import Iterator
 
-from pymavlink.dialects.v20 import all as dialect
+import numpy as np
+from fastcrc import crc16
+from numpy.typing import NDArray
 
 from sitl_mock.messages import Fields, Received
+from sitl_mock.protocol.layouts import Layout, layout, layout_of_id
 
 COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
-CLASSES: Mapping[str, Any] = MappingProxyType({row.msgname: row for row in dialect.mavlink_map.values()})
+MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
+HEADER_V1_BYTES, HEADER_V2_BYTES, CHECKSUM_BYTES, SIGNATURE_BYTES = 6, 10, 2, 13
+SIGNED = 0x01  # the only incompatibility flag there is: the signature is skipped, and not checked
+LONGEST_FRAME_BYTES = HEADER_V2_BYTES + 255 + CHECKSUM_BYTES + SIGNATURE_BYTES
+
+# Length, incompatible and compatible flags, sequence, system, component, message id.
+_pack_header = struct.Struct("<BBBBBB3s").pack
+_pack_checksum = struct.Struct("<H").pack
+_checksum = crc16.mcrf4xx
 
 
 class Codec:
@@ -24,45 +33,92 @@ class Codec:
     """
 
     def __init__(self) -> None:
-        self._parser = dialect.MAVLink(None)
-        self._parser.robust_parsing = True
-        self._packer = dialect.MAVLink(None, srcSystem=1, srcComponent=COMPONENT)
         self.bad_bytes = 0
         self.unsendable = 0
+        self._sequence = 0  # 0 to 255, around and around: peers count losses by its gaps
 
     def decode(self, data: bytes) -> list[Received]:
-        """All good messages in a datagram; anything else is dropped and counted. Never raises."""
-        # A datagram holds whole frames: leftovers of the last one are noise that would spoil this one.
-        self._parser.buf.clear()
-        self._parser.buf_index = 0
-        self._parser.expected_length = dialect.HEADER_LEN_V1 + 2
-        good = []
-        for message in self._parse(data):
-            kind = message.get_type()
-            if kind == "BAD_DATA":
-                self.bad_bytes += len(message.data)
-            elif not kind.startswith("UNKNOWN"):
-                fields = {name: getattr(message, name) for name in message.fieldnames}
-                good.append(Received(kind, message.get_srcSystem(), message.get_srcComponent(), fields))
-        return good
+        """All good messages in a datagram; anything else is dropped and counted. Never raises.
 
-    def _parse(self, data: bytes) -> list[Any]:
-        try:
-            return self._parser.parse_buffer(data) or []
-        except (dialect.MAVError, struct.error, ValueError, IndexError, TypeError):
-            # pymavlink's parser lets a few malformed frames through as exceptions of these kinds.
-            self.bad_bytes += len(data)
-            return []
+        A datagram holds whole frames: nothing of it is kept for the next one.
+        """
+        return list(self._messages(data))
 
     def encode(self, name: str, fields: Fields, system_id: int) -> bytes:
         """One frame with the next sequence number; empty if a field cannot hold its number."""
-        message = CLASSES[name](**fields)
-        self._packer.srcSystem = system_id
+        message = layout(name)
         try:
-            raw = bytes(message.pack(self._packer))
+            payload = message.pack(fields)
         except (struct.error, OverflowError):
             # A vehicle thrown to the end of a float has nothing sensible to say.
             self.unsendable += 1
             return b""
-        self._packer.seq = (self._packer.seq + 1) % 256  # pack() does not advance it
-        return raw
+        return self.finish(message, payload, system_id)
+
+    def finish(self, message: Layout, payload: bytes, system_id: int) -> bytes:
+        """The whole frame around a whole payload, with the next sequence number."""
+        sequence = self._sequence
+        self._sequence = (sequence + 1) & 0xFF
+        short = payload.rstrip(b"\0") or b"\0"  # MAVLink 2 leaves zeros at the end out, but the first byte stays
+        body = _pack_header(len(short), 0, 0, sequence, system_id, COMPONENT, message.id_bytes) + short
+        return b"\xfd" + body + _pack_checksum(_checksum(body + message.crc_extra))
+
+    def _messages(self, data: bytes) -> Iterator[Received]:
+        start, end = 0, len(data)
+        while start < end:
+            stop = self._frame_end(data, start)
+            if stop is None:  # no frame begins here
+                self.bad_bytes += 1
+                start += 1
+                continue
+            message = _message(data, start, stop)
+            if message is not None:
+                yield message
+            start = stop
+
+    @staticmethod
+    def _frame_end(data: bytes, start: int) -> int | None:
+        """The index behind a good frame, or one whose message is not known, at `start`; None if there is none."""
+        magic, left = data[start], len(data) - start
+        if magic not in (MAGIC_V1, MAGIC_V2) or left < HEADER_V1_BYTES + CHECKSUM_BYTES:
+            return None
+        header = HEADER_V2_BYTES if magic == MAGIC_V2 else HEADER_V1_BYTES
+        body_end = start + header + data[start + 1]
+        end = body_end + CHECKSUM_BYTES
+        if magic == MAGIC_V2:
+            if left < HEADER_V2_BYTES + CHECKSUM_BYTES or data[start + 2] & ~SIGNED:
+                return None
+            end += SIGNATURE_BYTES if data[start + 2] & SIGNED else 0
+        if end > len(data):
+            return None
+        message = layout_of_id(_id(data, start))
+        if message is None:
+            return end
+        checksum = int.from_bytes(data[body_end : body_end + CHECKSUM_BYTES], "little")
+        return end if _checksum(data[start + 1 : body_end] + message.crc_extra) == checksum else None
+
+
+def encode_rows(message: Layout, rows: NDArray[np.void], codecs: list[Codec], system_ids: list[int]) -> Iterator[bytes]:
+    """The frames of many payloads of one message, see `Layout.rows`; one codec and one system id each."""
+    data, size = rows.tobytes(), message.size
+    for k, (codec, system_id) in enumerate(zip(codecs, system_ids, strict=True)):
+        yield codec.finish(message, data[k * size : (k + 1) * size], system_id)
+
+
+def _id(data: bytes, start: int) -> int:
+    """The id of the message whose frame begins at `start`."""
+    if data[start] == MAGIC_V1:
+        return data[start + 5]
+    return int.from_bytes(data[start + 7 : start + 10], "little")
+
+
+def _message(data: bytes, start: int, stop: int) -> Received | None:
+    """The message of a good frame; None if the dialect does not have it."""
+    kind = layout_of_id(_id(data, start))
+    if kind is None:
+        return None
+    first = data[start] == MAGIC_V1
+    begin = start + (HEADER_V1_BYTES if first else HEADER_V2_BYTES)
+    system, component = data[start + (3 if first else 5)], data[start + (4 if first else 6)]
+    values = kind.unpack(data[begin : begin + data[start + 1]])
+    return Received(kind.name, system, component, kind.names, values)

@@ -102,7 +102,7 @@ def reposition_in(name: str) -> Handler:
 
 def _set_interval(vehicle: Autopilot, command: Command) -> CommandResult | None:
     number, interval_us = command.whole(1), command.parameters[1]
-    intervals, link, now_s = vehicle.profile.intervals, vehicle.links[command.link], vehicle.body.time_s
+    intervals, link, now_s = vehicle.profile.intervals, vehicle.links[command.link], vehicle.now_s
     name = NAMES.get(number) if number is not None else None
     if name is None:
         if number in SILENT_IDS - intervals.refused_ids:

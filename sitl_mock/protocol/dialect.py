@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from sitl_mock.autopilot.autopilot import Autopilot, Rules
-from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.messages import CommandResult, Fields, Received
 from sitl_mock.protocol import commands, services, telemetry
 from sitl_mock.protocol.commands import Command, acknowledgement, command_of
+from sitl_mock.protocol.rows import RowBuilder
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,13 +21,15 @@ class Dialect:
         messages: by the message's name; what is not there is ignored. Commands have tables of their own.
         commands: by MAV_CMD; a handler that returns None has acknowledged already, or never does.
         fixed_results: of commands that do nothing; any other command is UNSUPPORTED.
-        builders: by the message's name; what is not there is never sent.
+        builders: by the message's name; what is neither here nor in `row_builders` is never sent.
+        row_builders: likewise, of messages that come often.
     """
 
     messages: Mapping[str, services.Handler]
     commands: Mapping[int, commands.Handler]
     fixed_results: Mapping[int, CommandResult]
     builders: Mapping[str, telemetry.Builder]
+    row_builders: Mapping[str, RowBuilder]
 
     def receive(self, vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
         """Let a vehicle act on one message that arrived on a link."""
@@ -41,10 +43,10 @@ class Dialect:
         elif (handler := self.messages.get(message.name)) is not None:
             handler(vehicle, message, link, now_s)
 
-    def fields_of(self, name: str, vehicle: Autopilot, body: BodyState) -> Fields | None:
+    def fields_of(self, name: str, vehicle: Autopilot) -> Fields | None:
         """The fields of a message, or None when the vehicle cannot send it now (or at all)."""
         builder = self.builders.get(name)
-        return None if builder is None else builder(vehicle, body)
+        return None if builder is None else builder(vehicle, vehicle.body)
 
     def _execute(self, vehicle: Autopilot, command: Command) -> None:
         """Do what a command asks and acknowledge it to its sender."""

@@ -28,7 +28,12 @@ Handler = Callable[[Autopilot, Received, int, float], None]
 
 def addressed(vehicle: Autopilot, message: Received, system_0: bool) -> bool:
     """Whether target_system and target_component mean this vehicle; `system_0`: a broadcast does, too."""
-    system, component = message.fields["target_system"], message.fields.get("target_component", 0)
+    fields = message.fields
+    return is_for(vehicle, fields["target_system"], fields.get("target_component", 0), system_0)
+
+
+def is_for(vehicle: Autopilot, system: int, component: int, system_0: bool) -> bool:
+    """The same, by the two numbers."""
     components = vehicle.profile.target_components
     mine = system == vehicle.system_id or (system == 0 and system_0)
     return mine and (components is None or component in components)
@@ -36,8 +41,10 @@ def addressed(vehicle: Autopilot, message: Received, system_0: bool) -> bool:
 
 def _setpoint_local(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     # Both autopilots obey a setpoint to system 0: a broadcast setpoint moves every vehicle.
-    if addressed(vehicle, message, system_0=True):
-        vehicle.take_setpoint(SetpointFields.of(message.fields), now_s)
+    _, x, y, z, u, v, w, a, b, c, yaw_rad, rate_rad_s, mask, system, component, frame = message.values
+    if is_for(vehicle, system, component, system_0=True):
+        fields = SetpointFields(mask, frame, (x, y, z), (u, v, w), (a, b, c), yaw_rad, rate_rad_s)
+        vehicle.take_setpoint(fields, now_s)
 
 
 def setpoint_global(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:

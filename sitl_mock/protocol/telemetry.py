@@ -20,7 +20,6 @@ ARMED_BIT = 0x80
 FENCE_BIT = 0x100000  # MAV_SYS_STATUS_GEOFENCE: there is none to breach; MAVProxy says so when it is missing
 PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x200000 | 0x2000000
-GRAVITY_M_S2 = 9.80665
 NAN = math.nan
 CELLS_MV, NO_CELL = 4050, 65535  # a full cell; "no such cell" in BATTERY_STATUS
 
@@ -29,29 +28,18 @@ Builder = Callable[[Autopilot, BodyState], Fields | None]
 
 def boot_ms(body: BodyState) -> int:
     """Milliseconds since boot, as they wrap on the wire."""
-    return round(body.time_s * 1e3) & 0xFFFFFFFF
+    return round(body.clock_s * 1e3) & 0xFFFFFFFF
 
 
 def boot_us(body: BodyState) -> int:
     """Microseconds since boot."""
-    return round(body.time_s * 1e6)
+    return round(body.clock_s * 1e6)
 
 
 def local_m(vehicle: Autopilot, body: BodyState) -> Vec3:
     """The vehicle's position in its own local NED."""
     p, o = body.position_m, vehicle.local_origin_ned_m
     return (p[0] - o[0], p[1] - o[1], p[2] - o[2])
-
-
-def _attitude_rad(body: BodyState) -> tuple[float, float]:
-    """Roll and pitch whose thrust gives the acceleration that a particle has."""
-    if body.contact:
-        return 0.0, 0.0
-    cos, sin = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
-    a = body.acceleration_m_s2
-    forward, right, lift = cos * a[0] + sin * a[1], cos * a[1] - sin * a[0], max(GRAVITY_M_S2 - a[2], 0.1)
-    pitch = math.atan2(-forward, lift)
-    return math.atan2(right * math.cos(pitch), lift), pitch
 
 
 def _battery_percent(vehicle: Autopilot) -> int:
@@ -100,7 +88,7 @@ def _system_time(vehicle: Autopilot, body: BodyState) -> Fields:
 def _gps_raw_int(vehicle: Autopilot, body: BodyState) -> Fields:
     point = vehicle.world.geodetic(*body.position_m)
     v = body.velocity_m_s
-    fix = vehicle.ready or vehicle.body.time_s >= vehicle.boot.origin_s
+    fix = vehicle.ready or vehicle.now_s >= vehicle.boot.origin_s
     return {
         "time_usec": boot_us(body),
         "fix_type": vehicle.profile.gps_fix if fix else 0,
@@ -112,62 +100,6 @@ def _gps_raw_int(vehicle: Autopilot, body: BodyState) -> Fields:
         "vel": round(math.hypot(v[0], v[1]) * 100),
         "cog": round(math.degrees(math.atan2(v[1], v[0])) % 360.0 * 100) % 36000,
         "satellites_visible": 10,
-    }
-
-
-def _attitude(vehicle: Autopilot, body: BodyState) -> Fields:
-    roll, pitch = _attitude_rad(body)
-    return {
-        "time_boot_ms": boot_ms(body),
-        "roll": roll,
-        "pitch": pitch,
-        "yaw": body.yaw_rad,
-        "rollspeed": 0.0,
-        "pitchspeed": 0.0,
-        "yawspeed": body.yaw_rate_rad_s,
-    }
-
-
-def _attitude_quaternion(vehicle: Autopilot, body: BodyState) -> Fields:
-    roll, pitch = _attitude_rad(body)
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(body.yaw_rad / 2), math.sin(body.yaw_rad / 2)
-    return {
-        "time_boot_ms": boot_ms(body),
-        "q1": cr * cp * cy + sr * sp * sy,
-        "q2": sr * cp * cy - cr * sp * sy,
-        "q3": cr * sp * cy + sr * cp * sy,
-        "q4": cr * cp * sy - sr * sp * cy,
-        "rollspeed": 0.0,
-        "pitchspeed": 0.0,
-        "yawspeed": body.yaw_rate_rad_s,
-    }
-
-
-def _local_position_ned(vehicle: Autopilot, body: BodyState) -> Fields | None:
-    if not vehicle.ready and not vehicle.profile.position_before_ready:
-        return None
-    x, y, z = local_m(vehicle, body)
-    vx, vy, vz = body.velocity_m_s
-    return {"time_boot_ms": boot_ms(body), "x": x, "y": y, "z": z, "vx": vx, "vy": vy, "vz": vz}
-
-
-def _global_position_int(vehicle: Autopilot, body: BodyState) -> Fields | None:
-    if not vehicle.ready:
-        return None
-    point = vehicle.world.geodetic(*body.position_m)
-    v = body.velocity_m_s
-    return {
-        "time_boot_ms": boot_ms(body),
-        "lat": round(point.latitude_deg * 1e7),
-        "lon": round(point.longitude_deg * 1e7),
-        "alt": round(point.altitude_m * 1e3),
-        "relative_alt": round((vehicle.home_ned_m[2] - body.position_m[2]) * 1e3),
-        "vx": round(v[0] * 100),
-        "vy": round(v[1] * 100),
-        "vz": round(v[2] * 100),
-        "hdg": round(math.degrees(body.yaw_rad) % 360.0 * 100) % 36000,
     }
 
 
@@ -312,10 +244,6 @@ BUILDERS: Mapping[str, Builder] = MappingProxyType(
         "SYS_STATUS": _sys_status,
         "SYSTEM_TIME": _system_time,
         "GPS_RAW_INT": _gps_raw_int,
-        "ATTITUDE": _attitude,
-        "ATTITUDE_QUATERNION": _attitude_quaternion,
-        "LOCAL_POSITION_NED": _local_position_ned,
-        "GLOBAL_POSITION_INT": _global_position_int,
         "MISSION_CURRENT": _mission_current,
         "GPS_GLOBAL_ORIGIN": _gps_global_origin,
         "VFR_HUD": _vfr_hud,

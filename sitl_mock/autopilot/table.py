@@ -1,0 +1,54 @@
+"""What all vehicles of a fleet keep in arrays, one row each, so that telemetry is made for many at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl_mock.physics.arrays import Array
+from sitl_mock.physics.reference import Vec3
+
+
+class VehicleTable:
+    """V vehicles.
+
+    Args:
+        pads_ned_m: (V, 3) where they stand at the start; world NED.
+        origin_errors_m: (V, 3) each one's local origin minus its pad.
+
+    Attributes:
+        origin_ned_m: (V, 3) where each one's local frame has its zero; world.
+        home_ned_m: (V, 3) where each one was armed; world.
+        frame_scale: (3,) length in a local frame of a metre of the world, along each axis.
+        positioned: (V,) whether each one's estimator has a position.
+        clock_zero_s: (V,) simulated time at which each one's own clock read zero [s].
+        clock_rate: (V,) seconds of each one's own clock per second of simulated time.
+    """
+
+    def __init__(self, pads_ned_m: Array, origin_errors_m: Array) -> None:
+        vehicles = len(pads_ned_m)
+        self.origin_ned_m = pads_ned_m + origin_errors_m
+        self.home_ned_m = pads_ned_m.copy()
+        self.frame_scale = np.ones(3)
+        self.positioned = np.zeros(vehicles, dtype=bool)
+        self.clock_zero_s = np.zeros(vehicles)
+        self.clock_rate = np.ones(vehicles)
+
+    def local_m(self, rows: int | NDArray[np.intp], position_ned_m: Array) -> Array:
+        """World positions (..., 3) in the local frames of the vehicles at `rows` (...,)."""
+        local: Array = (position_ned_m - self.origin_ned_m[rows]) * self.frame_scale
+        return local
+
+    def world_m(self, row: int, local_m: Vec3) -> Vec3:
+        """A position in one vehicle's local frame as one in the world."""
+        return vec3(self.origin_ned_m[row] + np.array(local_m) / self.frame_scale)
+
+    def clock_s(self, row: int, now_s: float) -> float:
+        """What a vehicle's own clock reads [s]."""
+        return float((now_s - self.clock_zero_s[row]) * self.clock_rate[row])
+
+
+def vec3(row: Array) -> Vec3:
+    """A row of an array (V, 3) as plain numbers."""
+    x, y, z = row.tolist()
+    return (x, y, z)
