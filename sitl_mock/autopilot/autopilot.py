@@ -14,6 +14,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
 
+from sitl_mock.autopilot.battery import Battery
 from sitl_mock.autopilot.guidance import BodyState, Guidance, GuidanceRules
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.autopilot.profile import Behaviour, FlightMode, ModeEvent, Need
@@ -37,6 +38,14 @@ class Setup(NamedTuple):
     row: int  # of the fleet's arrays
     drift_rad: float
     sense: Callable[[float], BodyState]  # the vehicle as its estimator has it at a simulated time
+
+
+class Refusal(NamedTuple):
+    """Commands that are refused, whatever the vehicle could do."""
+
+    command: int  # MAV_CMD; 0: any
+    result: CommandResult
+    text: str
 
 
 class Deferred(NamedTuple):
@@ -71,12 +80,23 @@ class Autopilot:
         self.outbox: list[Outgoing] = []
         self.now_s = 0.0
         self.table, self.row = table, setup.row
+        self.booted_at_s = 0.0
         self.origin_set = False
         self.guidance.home_m = self.home_ned_m[:2]
 
+        self.dead = False  # says nothing, hears nothing, turns no motor
+        self.wrecked = False  # has hit something: its motors stand still for good
+        self.refusals: list[Refusal] = []
+        self.heartbeat_frozen = False
+        self.last_heartbeat: Fields | None = None
+        self.gps_lost_at_s: float | None = None
+        self.position_lost = False  # the estimator has given up
+
         self.armed = False
         self.airborne = False
-        self.flown_s = 0.0  # armed time in all, for the battery
+        self.battery_failsafe: ModeEvent | None = None  # the worst so far
+        self.battery_low_since_s: float | None = None
+        self.battery = Battery(profile.battery)
         self.landed = Landed.ON_GROUND
         self.failsafe: ModeEvent | None = None
         self.failsafe_at_s = 0.0
@@ -137,6 +157,11 @@ class Autopilot:
         return vec3(self.table.origin_ned_m[self.row])
 
     @property
+    def told_origin_ned_m(self) -> Vec3:
+        """Where it says that its local frame has its zero; world."""
+        return vec3(self.table.origin_ned_m[self.row] + self.table.told_origin_error_m[self.row])
+
+    @property
     def home_ned_m(self) -> Vec3:
         """Where it was armed; world."""
         return vec3(self.table.home_ned_m[self.row])
@@ -144,12 +169,17 @@ class Autopilot:
     @property
     def ready(self) -> bool:
         """Whether the estimator has a position."""
-        return self.now_s >= self.boot.ready_s
+        return self.uptime_s >= self.boot.ready_s and not self.position_lost
 
     @property
     def booted(self) -> bool:
         """Whether commands are obeyed."""
-        return self.now_s >= self.boot.standby_s
+        return self.uptime_s >= self.boot.standby_s
+
+    @property
+    def uptime_s(self) -> float:
+        """Since it was booted [s of simulated time]."""
+        return self.now_s - self.booted_at_s
 
     @property
     def status(self) -> SystemStatus:
@@ -171,6 +201,9 @@ class Autopilot:
         """Arm, unless something speaks against it and `force` does not."""
         if self.armed:
             return CommandResult.ACCEPTED
+        if self.wrecked:
+            self.send_text(self.profile.texts.crashed)
+            return self.profile.refused_arming
         refusal = None if force else self.rules.arming_refusal(self)
         if refusal is not None:
             self.send_text(refusal)
@@ -246,12 +279,47 @@ class Autopilot:
             self.send(name)
         return True
 
+    # -- what can happen to it ------------------------------------------------------------------------------------
+
+    def crash(self) -> None:
+        """It has hit something: its motors stand still for good, and it says so."""
+        self.wrecked = True
+        self.disarm("failsafe", force=True)
+        self.send_text(self.profile.texts.crashed)
+        self.steer()
+
+    def die(self) -> None:
+        """Nothing in it works any more: it says nothing, hears nothing, and falls."""
+        self.dead = True
+        self.armed = self.airborne = self.climbing = False
+        self.outbox.clear()
+        self._deferred.clear()
+        self.steer()
+
+    def reboot(self) -> None:
+        """Begin anew, with what parameters there are; in the air it falls meanwhile."""
+        self.armed = self.airborne = self.climbing = False
+        self.booted_at_s = self.now_s
+        self.landed = Landed.ON_GROUND
+        self.mode = self.intended = self.modes[self.profile.first_mode]
+        self.failsafe = self.battery_failsafe = self.battery_low_since_s = None
+        self.setpoint_at_s = self.gcs_heard_at_s = self.armed_at_s = -math.inf
+        self.gcs_missed = self.origin_set = False
+        self.guidance.enter(self.body)
+        self.guidance.setpoint = None
+        start_s = self.now_s + self.boot.heartbeat_s
+        self.links = [Link(self.profile.default_streams, start_s) for _ in self.links]
+        self.outbox.clear()
+        self._deferred.clear()
+        self.table.restart(self.row, self.now_s, self.body.position_m)
+        self.steer()
+
     # -- time -----------------------------------------------------------------------------------------------------
 
     def enter(self, now_s: float) -> None:
         """A new instant begins."""
         if self.armed:
-            self.flown_s += now_s - self.now_s
+            self.battery.use(now_s - self.now_s)
         self.now_s = now_s
         self._body = None
 
@@ -259,7 +327,7 @@ class Autopilot:
         """Send what was deferred, and boot on."""
         while self._deferred and self._deferred[0].due_s <= self.now_s:
             self.outbox.append(heapq.heappop(self._deferred).message)
-        if not self.origin_set and self.now_s >= self.boot.origin_s:
+        if not self.origin_set and self.uptime_s >= self.boot.origin_s:
             self.set_origin(self.local_origin_ned_m)
         self.table.positioned[self.row] = self.ready
 
@@ -273,9 +341,11 @@ class Autopilot:
             return self.now_s
         due_s = self._deferred[0].due_s if self._deferred else math.inf
         if not self.origin_set:
-            due_s = min(due_s, self.boot.origin_s)
-        if not self.ready:
-            due_s = min(due_s, self.boot.ready_s)
+            due_s = min(due_s, self.booted_at_s + self.boot.origin_s)
+        if self.uptime_s < self.boot.ready_s:
+            due_s = min(due_s, self.booted_at_s + self.boot.ready_s)
+        if self.gps_lost_at_s is not None:
+            due_s = min(due_s, self.now_s + WATCH_S)
         if not self.armed:
             return due_s
         follows = self.airborne and self.behaviour is Behaviour.FOLLOW and self.guidance.setpoint is not None
@@ -375,6 +445,10 @@ class Rules(GuidanceRules):
         """
 
     @abstractmethod
+    def watch_position(self, vehicle: Autopilot) -> None:
+        """See (50 Hz, when something is wrong with the satellites) whether the estimator still has a position."""
+
+    @abstractmethod
     def stream_fresh(self, vehicle: Autopilot) -> bool:
         """Whether a setpoint came recently enough for the streaming mode."""
 
@@ -384,4 +458,4 @@ class Rules(GuidanceRules):
 
     @abstractmethod
     def watch_failsafes(self, vehicle: Autopilot) -> None:
-        """See (50 Hz, while armed) whether the setpoint stream or the ground station is missing, and act on it."""
+        """See (50 Hz, while armed) whether the stream, the ground station or charge is missing, and act on it."""

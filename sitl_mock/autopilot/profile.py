@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 
+from sitl_mock.autopilot.battery import BatteryProfile
 from sitl_mock.messages import CommandResult, SystemStatus
 
 
@@ -42,6 +43,10 @@ class ModeEvent(Enum):
     STREAM_LOST = auto()
     GCS_LOST = auto()
     FAILSAFE_DELAY_OVER = auto()
+    BATTERY_LOW = auto()
+    BATTERY_CRITICAL = auto()
+    BATTERY_EMERGENCY = auto()
+    POSITION_LOST = auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +82,7 @@ class Texts:
     armed: str
     disarmed: Mapping[str, str]  # by the reason for disarming: command, landing, idle, failsafe
     disarming_refused: str = ""
+    crashed: str = ""
     takeoff_detected: str = ""
     landing_detected: str = ""
     unknown_message: str = ""  # an interval is asked for a message that the autopilot does not have; {id}
@@ -118,15 +124,6 @@ class Intervals:
     unknown_request: CommandResult  # REQUEST_MESSAGE for one
     unknown_query: tuple[int, CommandResult]  # GET_MESSAGE_INTERVAL for one: MESSAGE_INTERVAL.interval_us, result
     refused_ids: frozenset[int] = frozenset()  # ids of silent messages that are unknown here all the same
-
-
-@dataclass(frozen=True, slots=True)
-class Battery:
-    """Remaining charge in percent: falls evenly while armed, down to `least`."""
-
-    full: float
-    drain_per_s: float
-    least: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +173,7 @@ class AutopilotProfile:
     gps_fix: int  # GPS_FIX_TYPE once there is one
     airspeed_measured: bool
     home_quaternion: tuple[float, float, float, float]
-    battery: Battery
+    battery: BatteryProfile
     # Parameters
     parameters: Mapping[str, ParameterDefault]
     parameters_bytewise: bool  # integers travel bytewise in the float field; else they are cast

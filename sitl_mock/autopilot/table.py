@@ -18,6 +18,7 @@ class VehicleTable:
 
     Attributes:
         origin_ned_m: (V, 3) where each one's local frame has its zero; world.
+        told_origin_error_m: (V, 3) by how much GPS_GLOBAL_ORIGIN is wrong.
         home_ned_m: (V, 3) where each one was armed; world.
         frame_scale: (3,) length in a local frame of a metre of the world, along each axis.
         positioned: (V,) whether each one's estimator has a position.
@@ -28,6 +29,8 @@ class VehicleTable:
     def __init__(self, pads_ned_m: Array, origin_errors_m: Array) -> None:
         vehicles = len(pads_ned_m)
         self.origin_ned_m = pads_ned_m + origin_errors_m
+        self.told_origin_error_m = np.zeros((vehicles, 3))
+        self._origin_errors_m = origin_errors_m
         self.home_ned_m = pads_ned_m.copy()
         self.frame_scale = np.ones(3)
         self.positioned = np.zeros(vehicles, dtype=bool)
@@ -42,6 +45,19 @@ class VehicleTable:
     def world_m(self, row: int, local_m: Vec3) -> Vec3:
         """A position in one vehicle's local frame as one in the world."""
         return vec3(self.origin_ned_m[row] + np.array(local_m) / self.frame_scale)
+
+    def restart(self, row: int, now_s: float, place_ned_m: Vec3) -> None:
+        """A vehicle boots anew: its clock reads zero, and its local frame will be where it is now."""
+        self.clock_zero_s[row], self.clock_rate[row] = now_s, 1.0
+        self.origin_ned_m[row] = np.array(place_ned_m) + self._origin_errors_m[row]
+        self.told_origin_error_m[row] = 0.0
+        self.positioned[row] = False
+
+    def change_clock(self, row: int, now_s: float, by_s: float, gain: float) -> None:
+        """A vehicle's own clock jumps, and goes on gaining seconds per second beside its present rate."""
+        reads_s = self.clock_s(row, now_s) + by_s
+        self.clock_rate[row] += gain
+        self.clock_zero_s[row] = now_s - reads_s / self.clock_rate[row]
 
     def clock_s(self, row: int, now_s: float) -> float:
         """What a vehicle's own clock reads [s]."""

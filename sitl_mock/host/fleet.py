@@ -160,6 +160,8 @@ class Fleet:
         """All streams that are due, after `advance(now_s)`: each message of all vehicles in one pass."""
         due: dict[str, list[tuple[int, int]]] = {}  # by message: vehicle and link
         for k, vehicle in enumerate(self.vehicles):
+            if vehicle.autopilot.dead:
+                continue
             for j, link in enumerate(vehicle.autopilot.links):
                 if now_s >= link.next_s - DUE_SLACK_S:
                     for name in link.due(now_s):

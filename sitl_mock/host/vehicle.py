@@ -36,6 +36,8 @@ class Vehicle:
             The answers.
         """
         self.autopilot.enter(now_s)
+        if self.autopilot.dead:
+            return []
         for message in self.codecs[link].decode(data):
             self._dialect.receive(self.autopilot, message, link, now_s)
         return self._drained()
@@ -44,7 +46,10 @@ class Vehicle:
         """Run the logic once (50 Hz); what it says is returned."""
         autopilot = self.autopilot
         autopilot.enter(now_s)
+        if autopilot.dead:
+            return []
         autopilot.go_on()
+        autopilot.rules.watch_position(autopilot)
         if autopilot.armed:
             autopilot.rules.watch_failsafes(autopilot)
         self._ground.watch()

@@ -7,11 +7,11 @@ from pathlib import Path
 from types import MappingProxyType
 
 from sitl_mock.autopilot.autopilot import Autopilot, Rules
+from sitl_mock.autopilot.battery import BatteryProfile
 from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.autopilot.parameters import Parameters, WriteRefused, read_defaults
 from sitl_mock.autopilot.profile import (
     AutopilotProfile,
-    Battery,
     Behaviour,
     Boot,
     FlightMode,
@@ -82,6 +82,15 @@ _DATA_STREAMS = MappingProxyType(
     }
 )
 
+_BATTERY_ACTIONS = MappingProxyType({1: "LAND", 2: "RTL", 3: "SMART_RTL", 4: "SMART_RTL", 5: ""})
+# The worst first: level, parameters of its voltage and its action.
+_BATTERY_LEVELS = (
+    (ModeEvent.BATTERY_CRITICAL, "BATT_CRT_VOLT", "BATT_FS_CRT_ACT", "critical"),
+    (ModeEvent.BATTERY_LOW, "BATT_LOW_VOLT", "BATT_FS_LOW_ACT", "low"),
+)
+_CAPACITY_MAH = 3300
+_EKF_FAILSAFE_S, _STOPS_AIDING_S = 8.1, 15.1  # after the satellites are gone
+
 PROFILE = AutopilotProfile(
     autopilot=3,
     version=0x04070000,
@@ -98,6 +107,9 @@ PROFILE = AutopilotProfile(
             ModeEvent.GCS_LOST: MappingProxyType(
                 {1: "RTL", 2: "RTL", 3: "SMART_RTL", 4: "SMART_RTL", 5: "LAND", 6: "RTL", 7: "BRAKE"}
             ),
+            # BATT_FS_LOW_ACT and BATT_FS_CRT_ACT: 0 only warns
+            ModeEvent.BATTERY_LOW: _BATTERY_ACTIONS,
+            ModeEvent.BATTERY_CRITICAL: _BATTERY_ACTIONS,
         }
     ),
     mode_message="HEARTBEAT",
@@ -119,6 +131,7 @@ PROFILE = AutopilotProfile(
         need_gcs=False,
         armed="Arming motors",
         disarmed=MappingProxyType(dict.fromkeys(("command", "landing", "idle", "failsafe"), "Disarming motors")),
+        crashed="Arm: Crashed, reboot needed",
         unknown_message="No ap_message for mavlink id ({id})",
     ),
     default_streams=MappingProxyType({"HEARTBEAT": 1.0}),
@@ -135,7 +148,8 @@ PROFILE = AutopilotProfile(
     gps_fix=6,
     airspeed_measured=True,
     home_quaternion=(math.nan, math.nan, math.nan, math.nan),
-    battery=Battery(full=97, drain_per_s=0.23, least=0),  # 97 to 90 in 30 s of hover
+    # 97 to 90 in 30 s of hover
+    battery=BatteryProfile(full=97, drain_per_s=0.23, least=0, cells=3, full_cell_v=4.2, empty_cell_v=3.3),
     parameters=read_defaults(Path(__file__).with_suffix(".toml")),
     parameters_bytewise=False,
     system_id_parameter="MAV_SYSID",
@@ -267,8 +281,48 @@ class ArduPilotRules(Rules):
         """Never."""
         return math.inf
 
+    def watch_position(self, vehicle: Autopilot) -> None:
+        """Without satellites it lands by itself, then it stops telling where it is; with them again it goes on."""
+        lost_at_s = vehicle.gps_lost_at_s
+        missing_s = 0.0 if lost_at_s is None else vehicle.now_s - lost_at_s
+        if missing_s > _EKF_FAILSAFE_S and vehicle.airborne and vehicle.failsafe is not ModeEvent.POSITION_LOST:
+            vehicle.send_text("EKF variance")
+            vehicle.send_text("EKF Failsafe: changed to LAND Mode")
+            vehicle.fail(ModeEvent.POSITION_LOST, "LAND", keep_intention=False)
+        if missing_s > _STOPS_AIDING_S and not vehicle.position_lost:
+            vehicle.position_lost = True
+            vehicle.send_text("EKF3 IMU0 stopped aiding", Severity.INFO)
+        elif lost_at_s is None and vehicle.position_lost:
+            vehicle.position_lost = False
+            vehicle.send_text("EKF3 IMU0 is using GPS", Severity.INFO)
+
+    def _watch_battery(self, vehicle: Autopilot) -> None:
+        """A voltage that stays below a level for BATT_LOW_TIMER is told, and acted on."""
+        volt = vehicle.battery.voltage_v
+        found = next((level for level in _BATTERY_LEVELS if volt < vehicle.parameters[level[1]]), None)
+        if found is None:
+            vehicle.battery_low_since_s = None
+            return
+        if vehicle.battery_low_since_s is None:
+            vehicle.battery_low_since_s = vehicle.now_s
+        level, _, action, word = found
+        waited_s = vehicle.now_s - vehicle.battery_low_since_s
+        known = (level, ModeEvent.BATTERY_CRITICAL)  # a critical battery is not told to be low again
+        if waited_s < vehicle.parameters["BATT_LOW_TIMER"] or vehicle.battery_failsafe in known:
+            return
+        used_mah = _CAPACITY_MAH * (1.0 - vehicle.battery.share)
+        vehicle.battery_failsafe = level
+        vehicle.send_text(f"Battery 1 is {word} {volt:.2f}V used {used_mah:.0f} mAh", Severity.WARNING)
+        vehicle.send_text("Battery Failsafe", Severity.WARNING)
+        mode = self.profile.failsafe_modes[level].get(int(vehicle.parameters[action]))
+        if mode is None:
+            vehicle.failsafe, vehicle.failsafe_at_s = level, vehicle.now_s  # measured: critical, the mode stays
+        else:
+            vehicle.fail(level, mode, keep_intention=False)
+
     def watch_failsafes(self, vehicle: Autopilot) -> None:
-        """The ground station, once it was heard; when it is back the mode stays."""
+        """The battery, and the ground station once it was heard; when it is back the mode stays."""
+        self._watch_battery(vehicle)
         if not math.isfinite(vehicle.gcs_heard_at_s):
             return
         action, limit_s = int(vehicle.parameters["FS_GCS_ENABLE"]), vehicle.parameters["FS_GCS_TIMEOUT"]

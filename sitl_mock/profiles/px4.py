@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl_mock.autopilot.autopilot import Autopilot, Rules
+from sitl_mock.autopilot.battery import BatteryProfile
 from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.autopilot.parameters import ERROR_NAME, UNINDEXED, Parameters, WriteRefused, read_defaults
 from sitl_mock.autopilot.profile import (
     AutopilotProfile,
-    Battery,
     Behaviour,
     Boot,
     FlightMode,
@@ -71,6 +71,13 @@ _PARAMETER_HASH = 0x5349544C  # `_HASH_CHECK` of a list; constant, since no clie
 _ECHO_S = 0.01  # a changed parameter is told a second time, on every link, after the next update
 _STREAM_DETECTION_S = 0.05  # a lost stream is noticed 0.01-0.11 s after COM_OF_LOSS_T
 _GCS_DETECTION_S = 1.45  # acts 11.45 s after the last heartbeat with COM_DL_LOSS_T 10
+_NO_AID_S = 5.0  # EKF2_NOAID_TOUT
+# The worst first: level, parameter, text.
+_BATTERY_LEVELS = (
+    (ModeEvent.BATTERY_EMERGENCY, "BAT_EMERGEN_THR", "Emergency battery level"),
+    (ModeEvent.BATTERY_CRITICAL, "BAT_CRIT_THR", "Critical battery level"),
+    (ModeEvent.BATTERY_LOW, "BAT_LOW_THR", "Low battery level"),
+)
 _LOWEST_CONE_M = 1.0  # lowest return above home
 # The real PX4 holds each setpoint until the next. At 20 Hz and 10 m/s that alone costs 0.16 m rms here, where
 # nothing else is in error; so a setpoint runs on, but never longer than this.
@@ -104,6 +111,9 @@ PROFILE = AutopilotProfile(
             # NAV_DLL_ACT: Hold for COM_FAIL_ACT_T, then the action
             ModeEvent.GCS_LOST: MappingProxyType({1: "LOITER", 2: "LOITER", 3: "LOITER", 5: "", 6: ""}),
             ModeEvent.FAILSAFE_DELAY_OVER: MappingProxyType({1: "LOITER", 2: "RTL", 3: "LAND"}),
+            # COM_LOW_BAT_ACT: 0 and 1 only warn
+            ModeEvent.BATTERY_CRITICAL: MappingProxyType({2: "LAND", 3: "RTL"}),
+            ModeEvent.BATTERY_EMERGENCY: MappingProxyType({2: "LAND", 3: "LAND"}),
         }
     ),
     mode_message="CURRENT_MODE",
@@ -133,6 +143,7 @@ PROFILE = AutopilotProfile(
             }
         ),
         disarming_refused="Disarming denied: not landed",
+        crashed="Arming denied: vehicle has crashed",
         takeoff_detected="Takeoff detected",
         landing_detected="Landing detected",
     ),
@@ -169,7 +180,8 @@ PROFILE = AutopilotProfile(
     gps_fix=3,
     airspeed_measured=False,
     home_quaternion=(1.0, 0.0, 0.0, 0.0),
-    battery=Battery(full=100, drain_per_s=0.9, least=50),  # 74 after half a minute armed
+    # 74 after half a minute armed
+    battery=BatteryProfile(full=100, drain_per_s=0.9, least=50, cells=4, full_cell_v=4.05, empty_cell_v=3.5),
     parameters=read_defaults(Path(__file__).with_suffix(".toml")),
     parameters_bytewise=True,
     system_id_parameter="MAV_SYS_ID",
@@ -284,11 +296,36 @@ class Px4Rules(Rules):
         return vehicle.setpoint_at_s + vehicle.parameters["COM_OF_LOSS_T"] + _STREAM_DETECTION_S
 
     def watch_failsafes(self, vehicle: Autopilot) -> None:
-        """The ground station, once it was heard, then the stream of setpoints."""
+        """The battery, the ground station once it was heard, then the stream of setpoints."""
+        self._watch_battery(vehicle)
         if math.isfinite(vehicle.gcs_heard_at_s):
             self._watch_gcs(vehicle)
         if vehicle.armed:
             self._watch_stream(vehicle)
+
+    def watch_position(self, vehicle: Autopilot) -> None:
+        """Dead reckoning is given up after EKF2_NOAID_TOUT; in the air the vehicle then comes down where it is."""
+        lost_at_s = vehicle.gps_lost_at_s
+        vehicle.position_lost = lost_at_s is not None and vehicle.now_s - lost_at_s > _NO_AID_S
+        if vehicle.position_lost and vehicle.armed and vehicle.failsafe is not ModeEvent.POSITION_LOST:
+            vehicle.send_text("Failsafe activated")
+            vehicle.fail(ModeEvent.POSITION_LOST, "LAND", keep_intention=True)
+
+    def _watch_battery(self, vehicle: Autopilot) -> None:
+        """Each level is told once, and acted on by COM_LOW_BAT_ACT."""
+        for level, threshold, text in _BATTERY_LEVELS:
+            if vehicle.battery.share >= vehicle.parameters[threshold]:
+                continue
+            if vehicle.battery_failsafe is level:
+                return
+            vehicle.battery_failsafe = level
+            vehicle.send_text(text, Severity.WARNING)
+            modes = self.profile.failsafe_modes.get(level, {})
+            action = int(vehicle.parameters["COM_LOW_BAT_ACT"])
+            if action in modes:
+                vehicle.send_text("Failsafe activated", Severity.WARNING)
+                vehicle.fail(level, modes[action], keep_intention=True)
+            return
 
     def _watch_gcs(self, vehicle: Autopilot) -> None:
         """Hold for COM_FAIL_ACT_T, then return or land; heartbeats that come back cancel nothing."""

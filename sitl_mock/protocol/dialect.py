@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from sitl_mock.autopilot.autopilot import Autopilot, Rules
-from sitl_mock.messages import CommandResult, Fields, Received
+from sitl_mock.messages import CommandResult, Fields, Received, Severity
 from sitl_mock.protocol import commands, services, telemetry
 from sitl_mock.protocol.commands import Command, acknowledgement, command_of
 from sitl_mock.protocol.rows import RowBuilder
@@ -35,7 +35,7 @@ class Dialect:
         """Let a vehicle act on one message that arrived on a link."""
         if not vehicle.profile.texts.need_gcs:
             vehicle.links[link].texts_open = True
-        if now_s < vehicle.boot.heartbeat_s:
+        if vehicle.uptime_s < vehicle.boot.heartbeat_s:
             return
         if message.name in ("COMMAND_LONG", "COMMAND_INT"):
             if services.addressed(vehicle, message, vehicle.profile.obeys_system_0):
@@ -50,6 +50,11 @@ class Dialect:
 
     def _execute(self, vehicle: Autopilot, command: Command) -> None:
         """Do what a command asks and acknowledge it to its sender."""
+        for refusal in vehicle.refusals:
+            if refusal.command in (0, command.number):
+                vehicle.send_text(refusal.text, Severity.WARNING)
+                vehicle.outbox.append(acknowledgement(command, refusal.result))
+                return
         handler = self.commands.get(command.number)
         fixed = self.fixed_results.get(command.number, CommandResult.UNSUPPORTED)
         result = fixed if handler is None else handler(vehicle, command)

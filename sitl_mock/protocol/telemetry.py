@@ -21,7 +21,7 @@ FENCE_BIT = 0x100000  # MAV_SYS_STATUS_GEOFENCE: there is none to breach; MAVPro
 PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x200000 | 0x2000000
 NAN = math.nan
-CELLS_MV, NO_CELL = 4050, 65535  # a full cell; "no such cell" in BATTERY_STATUS
+NO_CELL = 65535  # "no such cell" in BATTERY_STATUS
 
 Builder = Callable[[Autopilot, BodyState], Fields | None]
 
@@ -42,17 +42,13 @@ def local_m(vehicle: Autopilot, body: BodyState) -> Vec3:
     return (p[0] - o[0], p[1] - o[1], p[2] - o[2])
 
 
-def _battery_percent(vehicle: Autopilot) -> int:
-    """Remaining charge as the real SITL batteries show it."""
-    battery = vehicle.profile.battery
-    return max(round(battery.full - battery.drain_per_s * vehicle.flown_s), battery.least)
-
-
 def _heartbeat(vehicle: Autopilot, body: BodyState) -> Fields:
+    if vehicle.heartbeat_frozen and vehicle.last_heartbeat is not None:
+        return vehicle.last_heartbeat
     base_mode = vehicle.mode.base_mode | (ARMED_BIT if vehicle.armed else 0)
     if vehicle.mode.behaviour is Behaviour.FOLLOW and vehicle.rules.stream_fresh(vehicle):
         base_mode |= vehicle.profile.streaming_bit
-    return {
+    vehicle.last_heartbeat = {
         "type": 2,
         "autopilot": vehicle.profile.autopilot,
         "base_mode": base_mode,
@@ -60,6 +56,7 @@ def _heartbeat(vehicle: Autopilot, body: BodyState) -> Fields:
         "system_status": int(vehicle.status),
         "mavlink_version": 3,
     }
+    return vehicle.last_heartbeat
 
 
 def _sys_status(vehicle: Autopilot, body: BodyState) -> Fields:
@@ -69,9 +66,9 @@ def _sys_status(vehicle: Autopilot, body: BodyState) -> Fields:
         "onboard_control_sensors_enabled": SENSORS | PREARM_BIT,
         "onboard_control_sensors_health": SENSORS | FENCE_BIT | (PREARM_BIT if able else 0),
         "load": 100,
-        "voltage_battery": 4 * CELLS_MV,
+        "voltage_battery": round(1e3 * vehicle.battery.voltage_v),
         "current_battery": 1500 if vehicle.armed else 50,
-        "battery_remaining": _battery_percent(vehicle),
+        "battery_remaining": vehicle.battery.percent,
         "drop_rate_comm": 0,
         "errors_comm": 0,
         "errors_count1": 0,
@@ -182,7 +179,7 @@ def _home_position(vehicle: Autopilot, body: BodyState) -> Fields | None:
 def _gps_global_origin(vehicle: Autopilot, body: BodyState) -> Fields | None:
     if not vehicle.origin_set:
         return None
-    point = vehicle.world.geodetic(*vehicle.local_origin_ned_m)
+    point = vehicle.world.geodetic(*vehicle.told_origin_ned_m)
     return {
         "latitude": round(point.latitude_deg * 1e7),
         "longitude": round(point.longitude_deg * 1e7),
@@ -192,16 +189,17 @@ def _gps_global_origin(vehicle: Autopilot, body: BodyState) -> Fields | None:
 
 
 def _battery_status(vehicle: Autopilot, body: BodyState) -> Fields:
+    cells = vehicle.profile.battery.cells
     return {
         "id": 0,
         "battery_function": 0,
         "type": 0,
         "temperature": 32767,
-        "voltages": [CELLS_MV] * 4 + [NO_CELL] * 6,
+        "voltages": [round(1e3 * vehicle.battery.cell_v)] * cells + [NO_CELL] * (10 - cells),
         "current_battery": 1500 if vehicle.armed else 50,
         "current_consumed": -1,
         "energy_consumed": -1,
-        "battery_remaining": _battery_percent(vehicle),
+        "battery_remaining": vehicle.battery.percent,
     }
 
 
