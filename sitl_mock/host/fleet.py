@@ -16,8 +16,8 @@ from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.host.vehicle import Vehicle
 from sitl_mock.physics.constants import Physics, load_physics
 from sitl_mock.physics.geodesy import Geodetic, World
-from sitl_mock.physics.particles import Particles
 from sitl_mock.physics.reference import Limits, Reference, Thrust, Vec3
+from sitl_mock.physics.swarm import Swarm
 
 TIME_SLACK_S = 1e-9  # a step whose time floating point put a hair behind now is due
 WORST_ERROR_SIGMAS = 2.2  # measured origins: standard deviation 0.17 and 0.35 m, worst 0.39 and 0.75 m
@@ -105,7 +105,7 @@ class Fleet:
         world = World(Geodetic(*options.origin_deg_m))
         pads_ned_m = np.array([(north, east, 0.0) for east, north in options.pads_enu_m]).reshape(-1, 3)  # (V, 3)
         errors, drifts, wind = np.random.default_rng(options.seed).spawn(3)
-        self.swarm = Particles(self.physics, pads_ned_m, options.wind_m_s, wind)
+        self.swarm = Swarm(self.physics, pads_ned_m, options.wind_m_s, wind)
         sigma = np.array([rules.profile.position_error_m[0]] * 2 + [rules.profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma
         self.vehicles = []
