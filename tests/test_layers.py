@@ -71,7 +71,7 @@ ADAPTERS = {  # what alone may import what
     "pydantic": {"fg_gcs/mission/"},
     "pydantic_core": {"fg_gcs/mission/"},
     "pymavlink": {"fg_gcs/wire/", "sitl_mock/protocol/codec.py"},
-    "numba": {"fg_gcs/compiling.py"},
+    "numba": {"fg_gcs/compiling.py", "sitl_mock/physics/compiling.py"},
 }
 MOST_LINES, MOST_FUNCTION_LINES = 600, 60
 SOURCES = sorted((ROOT / "fg_gcs").rglob("*.py")) + sorted((ROOT / "sitl_mock").rglob("*.py"))

@@ -20,8 +20,8 @@ from sitl_mock.links import DUE_SLACK_S
 from sitl_mock.messages import Outgoing
 from sitl_mock.physics.constants import Physics, load_physics
 from sitl_mock.physics.geodesy import Geodetic, World
-from sitl_mock.physics.particles import Particles
 from sitl_mock.physics.reference import Limits, Reference, Thrust
+from sitl_mock.physics.swarm import Swarm
 from sitl_mock.protocol.codec import encode_rows
 from sitl_mock.protocol.layouts import layout
 from sitl_mock.protocol.rows import Scene, sendable
@@ -112,7 +112,7 @@ class Fleet:
         self._world = World(Geodetic(*options.origin_deg_m))
         pads_ned_m = np.array([(north, east, 0.0) for east, north in options.pads_enu_m]).reshape(-1, 3)  # (V, 3)
         errors, drifts, wind = np.random.default_rng(options.seed).spawn(3)
-        self.swarm = Particles(self.physics, pads_ned_m, options.wind_m_s, wind)
+        self.swarm = Swarm(self.physics, pads_ned_m, options.wind_m_s, wind)
         sigma = np.array([rules.profile.position_error_m[0]] * 2 + [rules.profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma
         self._table = VehicleTable(pads_ned_m, noise)
@@ -230,8 +230,8 @@ class Fleet:
     def _scene_at(self, now_s: float) -> Scene:
         """All vehicles at a time inside the present step."""
         if self._scene is None or self._scene.time_s != now_s:
-            position_m, velocity_m_s = self.swarm.at(now_s)
-            roll_rad, pitch_rad = self.swarm.attitude_rad()
+            position_m, velocity_m_s = self.swarm.estimated_at(now_s)
+            roll_rad, pitch_rad = self.swarm.roll_pitch_rad
             swarm, table = self.swarm, self._table
             clocks_s = (now_s - table.clock_zero_s) * table.clock_rate
             self._scene = Scene(
@@ -260,5 +260,5 @@ class Fleet:
             vec3(swarm.acceleration_m_s2[vehicle]),
             float(scene.yaw_rad[vehicle]),
             float(scene.yaw_rate_rad_s[vehicle]),
-            bool(scene.position_m[vehicle, 2] > -self.physics.ground.contact_m),
+            bool(swarm.in_contact[vehicle]),
         )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sitl_mock.host.fleet import Fleet, FleetOptions, Sent, check_system_ids
 from sitl_mock.host.targets import TargetOptions, Targets
-from sitl_mock.physics.particles import enu_from_ned
+from sitl_mock.physics.swarm import enu_from_ned
 
 HOST = "127.0.0.1"  # simulated vehicles stay on this machine
 REMOTE_PORT_STEP = 3990  # PX4's first links are at 18570 + k and 14580 + k

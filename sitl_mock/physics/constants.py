@@ -1,10 +1,12 @@
-"""The numbers of the particle physics, read from `params.toml`."""
+"""The numbers of the world and of particles, read from `params.toml`."""
 
 from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
 from importlib import resources
+
+from sitl_mock.physics.flight_model import FlightModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +25,6 @@ class BodyLimits:
 
     speed_m_s: float  # [m/s] norm
     acceleration_m_s2: float  # [m/s^2] norm
-    yaw_rate_rad_s: float  # [rad/s]
-    yaw_gain_per_s: float  # [1/s]
-    gravity_m_s2: float  # [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +69,7 @@ class Physics:
     tracking: PositionLoop
     ground: Ground
     wind: Wind
+    particle: FlightModel  # without a control law of an autopilot: `tracking` is its loop
 
 
 def load_physics() -> Physics:
@@ -85,4 +85,5 @@ def load_physics() -> Physics:
         tracking=PositionLoop(**tables["tracking"]),
         ground=Ground(**tables["ground"]),
         wind=Wind(**tables["wind"]),
+        particle=FlightModel(None, tables["particle"], {}, {}),
     )

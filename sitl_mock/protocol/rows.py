@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sitl_mock.autopilot.table import VehicleTable
 from sitl_mock.physics.arrays import Array
 from sitl_mock.physics.geodesy import World
-from sitl_mock.physics.particles import Commands
+from sitl_mock.physics.swarm import Commands
 from sitl_mock.protocol.layouts import layout
 
 Rows = NDArray[np.intp]  # (R,) of vehicles

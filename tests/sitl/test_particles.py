@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 
 from sitl_mock.physics.constants import load_physics
-from sitl_mock.physics.particles import Particles, enu_from_ned
 from sitl_mock.physics.reference import ALL, NONE, Limits, Reference, Vec3
+from sitl_mock.physics.swarm import Swarm, enu_from_ned
+from tests.sitl.reference_particles import GRAVITY_M_S2, YAW_RATE_RAD_S, ReferenceParticles
 
 PHYSICS = load_physics()
 LIMITS = Limits(speed_m_s=12.0, climb_m_s=3.0, descent_m_s=1.5, acceleration_m_s2=3.0, step_gain_per_s=1.0)
 DT_S = PHYSICS.time.step_s
 
 
-def swarm(height_m: float = 0.0, vehicles: int = 1, wind_m_s: float = 0.0, seed: int = 0) -> Particles:
+def swarm(height_m: float = 0.0, vehicles: int = 1, wind_m_s: float = 0.0, seed: int = 0) -> Swarm:
     pads = np.array([(5.0 * k, 0.0, -height_m) for k in range(vehicles)])
-    return Particles(PHYSICS, pads, wind_m_s, np.random.default_rng(seed))
+    return Swarm(PHYSICS, pads, wind_m_s, np.random.default_rng(seed))
 
 
-def fly(particles: Particles, row: int, reference: Reference, limits: Limits = LIMITS) -> None:
+def fly(particles: Swarm, row: int, reference: Reference, limits: Limits = LIMITS) -> None:
     particles.commands.set(row, reference, limits, PHYSICS.tracking)
     particles.commands.flying[row] = True
 
@@ -42,6 +43,48 @@ def test_every_step_obeys_the_discrete_dynamics() -> None:
         np.testing.assert_allclose(particles.velocity_m_s, v + u * DT_S, atol=1e-12)
 
 
+@pytest.mark.parametrize("wind_m_s", [(0.0, 0.0, 0.0), (3.0, -4.0, 0.0)])
+def test_compiled_particles_are_the_equations(wind_m_s: Vec3) -> None:
+    """Random references of every kind, up and down to the ground: the compiled step and NumPy stay together."""
+    random = np.random.default_rng(11)
+    pads = np.array([(6.0 * k, 0.0, -3.0 * k) for k in range(6)])
+    compiled = Swarm(PHYSICS, pads, 0.0, np.random.default_rng(0))
+    compiled.disturbances.wind_m_s[:] = wind_m_s
+    written = ReferenceParticles(PHYSICS, pads, np.array(wind_m_s))
+    kinds = [(ALL, NONE), (NONE, ALL), (ALL, ALL), (NONE, NONE), ((True, True, False), (False, False, True))]
+    for step in range(4000):
+        if step % 50 == 0:
+            for row in range(6):
+                position, velocity, acceleration = (
+                    tuple(random.normal(0.0, size, 3).tolist()) for size in (15.0, 3.0, 2.0)
+                )
+                used, given = kinds[random.integers(len(kinds))]
+                yaw = None if random.random() < 0.3 else random.uniform(-4.0, 4.0)
+                since_s, lapses = compiled.time_s - random.uniform(0.0, 0.3), random.random() < 0.5
+                reference = Reference(
+                    position, velocity, acceleration, used, given, yaw, random.normal(), since_s, 0.2, lapses
+                )
+                flying = random.random() < 0.95
+                for commands in (compiled.commands, written.commands):
+                    commands.set(row, reference, LIMITS, PHYSICS.tracking)
+                    commands.flying[row] = flying
+        compiled.step()
+        written.step()
+        for name in ("position_m", "velocity_m_s", "acceleration_m_s2", "yaw_rad", "yaw_rate_rad_s", "in_contact"):
+            np.testing.assert_allclose(getattr(compiled, name), getattr(written, name), rtol=0.0, atol=1e-9)
+        # Rounding does not add up: both go on from the same state.
+        compiled.position_m[:], compiled.velocity_m_s[:] = written.position_m, written.velocity_m_s
+
+
+def test_without_disturbances_the_estimate_is_the_truth() -> None:
+    particles = swarm(10.0, vehicles=3, wind_m_s=4.0)
+    fly(particles, 0, Reference((5.0, 0.0, -10.0), position_used=ALL))
+    for _ in range(300):
+        particles.step()
+        np.testing.assert_array_equal(particles.estimated_position_m, particles.position_m)
+        np.testing.assert_array_equal(particles.estimated_velocity_m_s, particles.velocity_m_s)
+
+
 def test_no_command_exceeds_what_the_body_can() -> None:
     random = np.random.default_rng(3)
     particles = swarm(500.0, vehicles=8)
@@ -59,7 +102,7 @@ def test_no_command_exceeds_what_the_body_can() -> None:
         limit_m_s2 = PHYSICS.body.acceleration_m_s2 + 1e-9
         slow = np.linalg.norm(particles.velocity_m_s, axis=1) < PHYSICS.body.speed_m_s - 1e-6
         assert np.linalg.norm(particles.acceleration_m_s2[slow], axis=1).max(initial=0.0) <= limit_m_s2
-        assert np.abs(particles.yaw_rate_rad_s).max() <= PHYSICS.body.yaw_rate_rad_s + 1e-12
+        assert np.abs(particles.yaw_rate_rad_s).max() <= YAW_RATE_RAD_S + 1e-12
 
 
 ALL_ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -95,7 +138,7 @@ def test_fall_ends_on_the_ground() -> None:
     for _ in range(1500):
         particles.step()
         speeds.append(float(particles.velocity_m_s[0, 2]))
-    assert max(speeds) == pytest.approx(math.sqrt(2.0 * PHYSICS.body.gravity_m_s2 * 10.0), rel=0.01)
+    assert max(speeds) == pytest.approx(math.sqrt(2.0 * GRAVITY_M_S2 * 10.0), rel=0.01)
     assert particles.position_m[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
 
 

@@ -1,10 +1,6 @@
-"""All vehicles as particles: arrays (V, 3) in world NED, moved by the paper's discrete dynamics.
+"""The paper's particle written out once more, in NumPy over all vehicles: what the compiled step is held against.
 
-    x+ = x + v dt + u dt^2 / 2        v+ = v + u dt
-
-`u` is everything: feed-forward, PID correction, ground, gravity and wind, after all bounds. V: vehicles. World NED has
-its origin on the flat ground (z = 0); NED because the wire and the autopilots think in it, so that only
-`Simulator.positions_enu_m` and its like turn signs.
+x+ = x + v dt + u dt^2 / 2        v+ = v + u dt
 """
 
 from __future__ import annotations
@@ -15,73 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl_mock.physics.arrays import Array
-from sitl_mock.physics.constants import Physics, PositionLoop
-from sitl_mock.physics.reference import Limits, Reference
+from sitl_mock.physics.constants import Physics
+from sitl_mock.physics.swarm import Commands
 
-TINY = 1e-9  # keeps 0/0 out of unit vectors; far below any length or speed that matters
-
-
-def enu_from_ned(vectors_ned: Array) -> Array:
-    """Swap axes (V, 3) NED -> ENU (its own inverse)."""
-    return vectors_ned[:, [1, 0, 2]] * (1.0, 1.0, -1.0)
+TINY = 1e-9
+GRAVITY_M_S2, YAW_GAIN_PER_S, YAW_RATE_RAD_S = 9.80665, 4.0, 1.5
 
 
-class Commands:
-    """The references of all vehicles as arrays, one row per vehicle."""
-
-    def __init__(self, vehicles: int) -> None:
-        self.position_m = np.zeros((vehicles, 3))
-        self.velocity_m_s = np.zeros((vehicles, 3))
-        self.acceleration_m_s2 = np.zeros((vehicles, 3))
-        self.position_used = np.zeros((vehicles, 3))  # 0 or 1: multiplied, not branched on
-        self.controlled = np.zeros((vehicles, 3))  # 0 or 1: position or velocity is controlled
-        self.position_gain_per_s = np.ones(vehicles)
-        self.speed_headroom_m_s = np.zeros(vehicles)
-        self.yaw_rad = np.zeros(vehicles)
-        self.yaw_rate_rad_s = np.zeros(vehicles)
-        self.yaw_used = np.zeros(vehicles, dtype=bool)
-        self.since_s = np.zeros(vehicles)
-        self.carry_s = np.zeros(vehicles)
-        self.lapses = np.zeros(vehicles, dtype=bool)
-        self.speed_m_s = np.ones(vehicles)
-        self.climb_m_s = np.ones(vehicles)
-        self.descent_m_s = np.ones(vehicles)
-        self.correction_m_s2 = np.ones(vehicles)
-        self.flying = np.zeros(vehicles, dtype=bool)
-
-    def set(self, row: int, reference: Reference, limits: Limits, tracking: PositionLoop) -> None:
-        """Replace the reference of one vehicle; whether it flies is `flying`."""
-        self.position_m[row] = reference.position_ned_m
-        self.velocity_m_s[row] = reference.velocity_ned_m_s
-        self.acceleration_m_s2[row] = reference.acceleration_ned_m_s2
-        self.position_used[row] = reference.position_used
-        self.controlled[row] = np.logical_or(reference.position_used, reference.velocity_used)
-        step = reference.is_step
-        self.position_gain_per_s[row] = limits.step_gain_per_s if step else tracking.position_gain_per_s
-        self.speed_headroom_m_s[row] = 0.0 if step else tracking.speed_headroom_m_s
-        self.yaw_used[row] = reference.yaw_rad is not None
-        self.yaw_rad[row] = 0.0 if reference.yaw_rad is None else reference.yaw_rad
-        self.yaw_rate_rad_s[row] = reference.yaw_rate_rad_s
-        self.since_s[row] = reference.since_s
-        self.carry_s[row] = reference.carry_s
-        self.lapses[row] = reference.lapses
-        self.speed_m_s[row] = limits.speed_m_s
-        self.climb_m_s[row] = limits.climb_m_s
-        self.descent_m_s[row] = limits.descent_m_s
-        self.correction_m_s2[row] = limits.acceleration_m_s2
-
-
-class Particles:
-    """State and inner loops of V vehicles.
+class ReferenceParticles:
+    """State and inner loops of V vehicles, one NumPy expression per equation.
 
     Args:
         physics: all numbers.
         pads_ned_m: (V, 3) where the vehicles stand at the start; world NED, z = 0 is the ground.
-        wind_m_s: mean speed of the wind, direction and gusts drawn from `random`; 0 is still air.
-        random: generator of wind.
+        wind_m_s: (3,) steady wind without gusts; zeros are still air.
     """
 
-    def __init__(self, physics: Physics, pads_ned_m: Array, wind_m_s: float, random: np.random.Generator) -> None:
+    def __init__(self, physics: Physics, pads_ned_m: Array, wind_m_s: Array) -> None:
         vehicles = len(pads_ned_m)
         self.physics = physics
         self.time_s = 0.0
@@ -93,27 +39,16 @@ class Particles:
         self.commands = Commands(vehicles)
         self._correction_m_s2 = np.zeros((vehicles, 3))
         self._integral_m_s2 = np.zeros((vehicles, 3))
-        self._random = random
-        self._windy = wind_m_s > 0.0
+        self._windy = bool(np.any(wind_m_s))
         self._body_m_s2 = np.full(vehicles, physics.body.acceleration_m_s2)  # (V,)
         self._integral_bound_m_s2 = np.full(vehicles, physics.tracking.integral_bound_m_s2)  # (V,)
-        heading = random.uniform(0.0, 2.0 * math.pi)
-        self._wind_m_s = wind_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])  # (3,)
-        self._gust_m_s = np.zeros((vehicles, 3))
+        self._wind_m_s = wind_m_s
         self._steps = 0
 
     @property
     def in_contact(self) -> NDArray[np.bool_]:
         """(V,) whether a vehicle stands on the ground."""
         return self.position_m[:, 2] > -self.physics.ground.contact_m
-
-    def attitude_rad(self) -> tuple[Array, Array]:
-        """Roll and pitch (V,) whose thrust gives the acceleration that a particle has; level on the ground."""
-        cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        a = self.acceleration_m_s2 * ~self.in_contact[:, None]
-        lift_m_s2 = np.maximum(self.physics.body.gravity_m_s2 - a[:, 2], 0.1)
-        pitch_rad = np.arctan2(-(cos * a[:, 0] + sin * a[:, 1]), lift_m_s2)
-        return np.arctan2((cos * a[:, 1] - sin * a[:, 0]) * np.cos(pitch_rad), lift_m_s2), pitch_rad
 
     def step(self) -> None:
         """Advance every vehicle by one physics step."""
@@ -125,17 +60,6 @@ class Particles:
         self._turn(dt_s)
         self._steps += 1
         self.time_s = self._steps * dt_s
-
-    def at(self, time_s: float) -> tuple[Array, Array]:
-        """Positions and velocities (V, 3) at a time inside the present step: exact, because u is held.
-
-        Args:
-            time_s: not before `self.time_s` and at most one step behind it; else the nearer end is given.
-        """
-        ahead_s = min(max(time_s - self.time_s, 0.0), self.physics.time.step_s)
-        u = self.acceleration_m_s2
-        position_m = self.position_m + self.velocity_m_s * ahead_s + u * (0.5 * ahead_s * ahead_s)
-        return position_m, self.velocity_m_s + u * ahead_s
 
     def _command(self) -> Array:
         """(V, 3) acceleration that the autopilots ask for: feed-forward plus bounded, smoothed PID correction."""
@@ -216,8 +140,8 @@ class Particles:
         z_m, fall_m_s = self.position_m[:, 2], self.velocity_m_s[:, 2]
         contact = self.in_contact
         if self._windy:
-            u = u + self._blown() * (flying & ~contact)[:, None]
-        falling_m_s2 = np.where(flying, u[:, 2], self.physics.body.gravity_m_s2)
+            u = u + self.physics.wind.drag_per_s * self._wind_m_s * (flying & ~contact)[:, None]
+        falling_m_s2 = np.where(flying, u[:, 2], GRAVITY_M_S2)
         touching = (z_m >= 0.0) | (contact & ~flying)
         support_m_s2 = -ground.stiffness_per_s2 * z_m - ground.damping_per_s * fall_m_s
         u[:, 2] = np.where(touching, np.minimum(falling_m_s2, support_m_s2), falling_m_s2)
@@ -227,15 +151,6 @@ class Particles:
         u[:, :2] = np.where(resting[:, None], -ground.friction_per_s * self.velocity_m_s[:, :2], u[:, :2])
         u[:, :2] *= (flying | resting)[:, None]
         return u
-
-    def _blown(self) -> Array:
-        """(V, 3) acceleration by mean wind and gusts (first-order Gauss-Markov)."""
-        wind, dt_s = self.physics.wind, self.physics.time.step_s
-        mean_m_s = float(np.hypot(self._wind_m_s[0], self._wind_m_s[1]))
-        forget = dt_s / wind.gust_time_s
-        noise = self._random.standard_normal(self._gust_m_s.shape)
-        self._gust_m_s += -forget * self._gust_m_s + wind.gust_share * mean_m_s * math.sqrt(2.0 * forget) * noise
-        return wind.drag_per_s * (self._wind_m_s + self._gust_m_s)
 
     def _bounded_speed(self, u: Array, dt_s: float) -> Array:
         """(V, 3) acceleration after which no flying vehicle exceeds the body's speed."""
@@ -249,10 +164,10 @@ class Particles:
 
     def _turn(self, dt_s: float) -> None:
         """Yaw at a bounded rate, the short way round."""
-        c, body = self.commands, self.physics.body
+        c = self.commands
         miss_rad = np.remainder(c.yaw_rad - self.yaw_rad + math.pi, 2.0 * math.pi) - math.pi
-        rate_rad_s = np.where(c.yaw_used, body.yaw_gain_per_s * miss_rad, c.yaw_rate_rad_s) * c.flying
-        self.yaw_rate_rad_s = np.minimum(np.maximum(rate_rad_s, -body.yaw_rate_rad_s), body.yaw_rate_rad_s)
+        rate_rad_s = np.where(c.yaw_used, YAW_GAIN_PER_S * miss_rad, c.yaw_rate_rad_s) * c.flying
+        self.yaw_rate_rad_s = np.minimum(np.maximum(rate_rad_s, -YAW_RATE_RAD_S), YAW_RATE_RAD_S)
         turned_rad = self.yaw_rad + self.yaw_rate_rad_s * dt_s
         self.yaw_rad = np.remainder(turned_rad + math.pi, 2.0 * math.pi) - math.pi
 

@@ -1,0 +1,214 @@
+"""All vehicles: one row each of the tables in `records`, moved by the compiled step in `kernels`.
+
+    x+ = x + v dt + u dt^2 / 2        v+ = v + u dt
+
+`u` is everything. The paper's particle: feed-forward, PID correction, ground, gravity and wind, after all bounds.
+Measured dynamics: thrust along an attitude that lags, gravity, drag and ground, under a real autopilot's control law,
+which flies by an estimate. V: vehicles. World NED has its origin on the flat ground (z = 0); NED because the wire and
+the autopilots think in it, so that only `Simulator.positions_enu_m` and its like turn signs.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl_mock.physics.arrays import Array
+from sitl_mock.physics.constants import Physics, PositionLoop
+from sitl_mock.physics.flight_model import LAWS, FlightModel
+from sitl_mock.physics.records import COMMAND, DISTURBANCE, STATE, WORLD
+from sitl_mock.physics.reference import Limits, Reference
+
+LEAST_LIFT = 0.01  # of the thrust's upward part: keeps attitudes from turning over
+
+
+def enu_from_ned(vectors_ned: Array) -> Array:
+    """Swap axes (V, 3) NED -> ENU (its own inverse)."""
+    return vectors_ned[:, [1, 0, 2]] * (1.0, 1.0, -1.0)
+
+
+class Commands:
+    """The references of all vehicles as arrays, one row per vehicle: views of one table."""
+
+    def __init__(self, vehicles: int) -> None:
+        self.table = np.zeros(vehicles, COMMAND)
+        self.position_m: Array = self.table["position_m"]  # (V, 3)
+        self.velocity_m_s: Array = self.table["velocity_m_s"]  # (V, 3)
+        self.acceleration_m_s2: Array = self.table["acceleration_m_s2"]  # (V, 3)
+        self.position_used: Array = self.table["position_used"]  # (V, 3), 0 or 1
+        self.velocity_given: Array = self.table["velocity_given"]  # (V, 3), 0 or 1
+        self.controlled: Array = self.table["controlled"]  # (V, 3), 0 or 1: position or velocity is controlled
+        self.position_gain_per_s: Array = self.table["position_gain_per_s"]  # (V,), as are all below
+        self.speed_headroom_m_s: Array = self.table["speed_headroom_m_s"]
+        self.yaw_rad: Array = self.table["yaw_rad"]
+        self.yaw_rate_rad_s: Array = self.table["yaw_rate_rad_s"]
+        self.yaw_used: NDArray[np.bool_] = self.table["yaw_used"]
+        self.since_s: Array = self.table["since_s"]
+        self.carry_s: Array = self.table["carry_s"]
+        self.lapses: NDArray[np.bool_] = self.table["lapses"]
+        self.speed_m_s: Array = self.table["speed_m_s"]
+        self.climb_m_s: Array = self.table["climb_m_s"]
+        self.descent_m_s: Array = self.table["descent_m_s"]
+        self.correction_m_s2: Array = self.table["correction_m_s2"]
+        self.flying: NDArray[np.bool_] = self.table["flying"]
+        for column in (self.position_gain_per_s, self.speed_m_s, self.climb_m_s, self.descent_m_s):
+            column[:] = 1.0
+        self.correction_m_s2[:] = 1.0
+
+    def set(self, row: int, reference: Reference, limits: Limits, tracking: PositionLoop) -> None:
+        """Replace the reference of one vehicle; whether it flies is `flying`."""
+        self.position_m[row] = reference.position_ned_m
+        self.velocity_m_s[row] = reference.velocity_ned_m_s
+        self.acceleration_m_s2[row] = reference.acceleration_ned_m_s2
+        self.position_used[row] = reference.position_used
+        self.velocity_given[row] = reference.velocity_used
+        self.controlled[row] = np.logical_or(reference.position_used, reference.velocity_used)
+        step = reference.is_step
+        self.position_gain_per_s[row] = limits.step_gain_per_s if step else tracking.position_gain_per_s
+        self.speed_headroom_m_s[row] = 0.0 if step else tracking.speed_headroom_m_s
+        self.yaw_used[row] = reference.yaw_rad is not None
+        self.yaw_rad[row] = 0.0 if reference.yaw_rad is None else reference.yaw_rad
+        self.yaw_rate_rad_s[row] = reference.yaw_rate_rad_s
+        self.since_s[row] = reference.since_s
+        self.carry_s[row] = reference.carry_s
+        self.lapses[row] = reference.lapses
+        self.speed_m_s[row] = limits.speed_m_s
+        self.climb_m_s[row] = limits.climb_m_s
+        self.descent_m_s[row] = limits.descent_m_s
+        self.correction_m_s2[row] = limits.acceleration_m_s2
+
+
+class Disturbances:
+    """What goes wrong, as arrays that whoever makes faults writes: views of one table, read at every step."""
+
+    def __init__(self, vehicles: int) -> None:
+        self.table = np.zeros(vehicles, DISTURBANCE)
+        self.estimate_offset_m: Array = self.table["estimate_offset_m"]  # (V, 3) added to the estimated position
+        self.estimate_noise_m: Array = self.table["estimate_noise_m"]  # (V,) white, on each axis, standard deviation
+        self.estimate_frozen: NDArray[np.bool_] = self.table["estimate_frozen"]  # (V,) the estimate stands still
+        self.gps_lost: NDArray[np.bool_] = self.table["gps_lost"]  # (V,) the horizontal estimate drifts away
+        self.wind_m_s: Array = self.table["wind_m_s"]  # (V, 3) mean
+        self.gust_m_s: Array = self.table["gust_m_s"]  # (V,) standard deviation of gusts on each axis
+        self.thrust_share: Array = self.table["thrust_share"]  # (V,) of the greatest thrust; 0: a motor is dead
+        self.thrust_share[:] = 1.0
+
+
+class Swarm:
+    """State and inner loops of V vehicles. All arrays are views that `step` writes into.
+
+    Args:
+        physics: all numbers of the world and of particles.
+        pads_ned_m: (V, 3) where the vehicles stand at the start; world NED, z = 0 is the ground.
+        wind_m_s: mean speed of the wind, direction and gusts drawn from `random`; 0 is still air.
+        random: generator of wind, of the estimator's errors and of what differs from vehicle to vehicle.
+        model: what flies; None: the paper's particle.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        pads_ned_m: Array,
+        wind_m_s: float,
+        random: np.random.Generator,
+        model: FlightModel | None = None,
+    ) -> None:
+        from sitl_mock.physics import kernels  # loads the compiler: only where something shall fly
+
+        vehicles = len(pads_ned_m)
+        self.physics = physics
+        self.model = physics.particle if model is None else model
+        self.time_s = 0.0
+        self._steps = 0
+        self._kernels = kernels
+        heading, differences = random.uniform(0.0, 2.0 * math.pi), random.spawn(1)[0]
+        self._state = np.zeros(vehicles, STATE)
+        self._state["random_state"] = random.integers(0, 2**64, vehicles, dtype=np.uint64)
+        self._models, self._factors = self.model.table(vehicles, differences)
+        self._world = _world(physics)
+        self.position_m: Array = self._state["position_m"]  # (V, 3) true
+        self.velocity_m_s: Array = self._state["velocity_m_s"]  # (V, 3) true
+        self.acceleration_m_s2: Array = self._state["acceleration_m_s2"]  # (V, 3) the u of the last step
+        self.yaw_rad: Array = self._state["yaw_rad"]  # (V,)
+        self.yaw_rate_rad_s: Array = self._state["yaw_rate_rad_s"]  # (V,)
+        self.estimated_position_m: Array = self._state["estimated_position_m"]  # (V, 3) as the autopilot believes
+        self.estimated_velocity_m_s: Array = self._state["estimated_velocity_m_s"]  # (V, 3)
+        self.target_m: Array = self._state["target_m"]  # (V, 3) what the control law aims at
+        self.target_m_s: Array = self._state["target_m_s"]  # (V, 3) velocity that it controls to
+        self.in_contact: NDArray[np.bool_] = self._state["in_contact"]  # (V,) stands on the ground
+        self.commands = Commands(vehicles)
+        self.disturbances = Disturbances(vehicles)
+        self.position_m[:] = self.estimated_position_m[:] = pads_ned_m
+        self.in_contact[:] = self.position_m[:, 2] > -physics.ground.contact_m
+        self._state["upward"][:, 2] = -1.0
+        self.disturbances.wind_m_s[:] = wind_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])
+        self.disturbances.gust_m_s[:] = physics.wind.gust_share * wind_m_s
+
+    def step(self, steps: int = 1) -> None:
+        """Advance every vehicle by a number of physics steps; what is commanded does not change meanwhile."""
+        tables = (self._state, self.commands.table, self.disturbances.table, self._models, self._world)
+        dt_s = self.physics.time.step_s
+        if self.model.law is None:
+            self._kernels.step_particles(*tables, self._steps, dt_s, steps)
+        else:
+            self._kernels.step_measured(*tables, LAWS.index(self.model.law), self._steps, dt_s, steps)
+        self._steps += steps
+        self.time_s = self._steps * dt_s
+
+    def set_parameter(self, row: int, name: str, value: float) -> None:
+        """Give a vehicle's control law or airframe the value of an autopilot's parameter, in the parameter's own unit.
+
+        Parameters that the flight model does not use are ignored; so are values that are not positive.
+        """
+        column, scale = self.model.parameters.get(name, ("", 1.0))
+        if column and value > 0.0:
+            factors = self._factors.get(column)
+            self._models[column][row] = value * scale * (1.0 if factors is None else factors[row])
+
+    @property
+    def roll_pitch_rad(self) -> tuple[Array, Array]:
+        """(V,), (V,) attitude that points the thrust where it goes; level on the ground."""
+        cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        north, east, down = self._state["upward"].T
+        lift = np.where(self.in_contact, np.inf, np.maximum(-down, LEAST_LIFT))
+        pitch = np.arctan2(-(cos * north + sin * east), lift)
+        return np.arctan2((cos * east - sin * north) * np.cos(pitch), lift), pitch
+
+    def at(self, time_s: float) -> tuple[Array, Array]:
+        """True positions and velocities (V, 3) at a time inside the present step: exact, because u is held.
+
+        Args:
+            time_s: not before `self.time_s` and at most one step behind it; else the nearer end is given.
+        """
+        return self._ahead(self.position_m, self.velocity_m_s, time_s)
+
+    def estimated_at(self, time_s: float) -> tuple[Array, Array]:
+        """What the autopilots believe: positions and velocities (V, 3) at a time inside the present step."""
+        position_m, velocity_m_s = self._ahead(self.estimated_position_m, self.estimated_velocity_m_s, time_s)
+        frozen = self.disturbances.estimate_frozen
+        if frozen.any():
+            position_m[frozen] = self.estimated_position_m[frozen]
+            velocity_m_s[frozen] = self.estimated_velocity_m_s[frozen]
+        return position_m, velocity_m_s
+
+    def _ahead(self, position_m: Array, velocity_m_s: Array, time_s: float) -> tuple[Array, Array]:
+        ahead_s = min(max(time_s - self.time_s, 0.0), self.physics.time.step_s)
+        u = self.acceleration_m_s2
+        return position_m + velocity_m_s * ahead_s + u * (0.5 * ahead_s * ahead_s), velocity_m_s + u * ahead_s
+
+
+def _world(physics: Physics) -> NDArray[np.void]:
+    """(1,) the numbers of particles and ground that kernels read."""
+    world = np.zeros(1, WORLD)
+    loop, ground, wind = physics.tracking, physics.ground, physics.wind
+    for name in ("velocity_gain_per_s", "integral_gain_per_s2", "smoothing_s", "headroom", "braking_share"):
+        world[name] = getattr(loop, name)
+    for name in ("stiffness_per_s2", "damping_per_s", "friction_per_s", "contact_m"):
+        world[name] = getattr(ground, name)
+    world["integral_bound_m_s2"] = loop.integral_bound_m_s2
+    world["body_speed_m_s"] = physics.body.speed_m_s
+    world["body_acceleration_m_s2"] = physics.body.acceleration_m_s2
+    world["wind_drag_per_s"] = wind.drag_per_s
+    world["gust_time_s"] = wind.gust_time_s
+    return world
