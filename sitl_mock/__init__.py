@@ -16,16 +16,29 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from sitl_mock.faults.schema import FaultOptions, ImpairmentOptions, parse_fault, parse_impairment
     from sitl_mock.host.fleet import grid
     from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
     from sitl_mock.host.targets import TargetOptions, parse_target
 
-__all__ = ["Counters", "PortUnavailable", "Simulator", "SimulatorOptions", "TargetOptions", "grid", "parse_target"]
+__all__ = [
+    "Counters",
+    "FaultOptions",
+    "ImpairmentOptions",
+    "PortUnavailable",
+    "Simulator",
+    "SimulatorOptions",
+    "TargetOptions",
+    "grid",
+    "parse_fault",
+    "parse_impairment",
+    "parse_target",
+]
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used, so that `python -m sitl_mock --help` stays quick."""
-    for module in ("fleet", "server", "targets"):
-        if name in __all__ and hasattr(found := importlib.import_module(f"sitl_mock.host.{module}"), name):
+    for module in ("faults.schema", "host.fleet", "host.server", "host.targets"):
+        if name in __all__ and hasattr(found := importlib.import_module(f"sitl_mock.{module}"), name):
             return getattr(found, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

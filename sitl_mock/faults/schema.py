@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from sitl_mock.messages import CommandResult
+from sitl_mock.protocol.layouts import is_message
 
 # Stages that a ground station tells of, and those that a vehicle is in by itself.
 FLIGHT_STAGES = ("connect", "prepare", "plan", "take-off", "gather", "approach", "hold", "home", "land")
@@ -113,6 +114,9 @@ def _command(value: Any) -> int:  # noqa: ANN401  # whatever a table has
 def _names(value: Any) -> tuple[str, ...]:  # noqa: ANN401  # whatever a table has
     if not isinstance(value, list | tuple) or not all(isinstance(name, str) and name.isupper() for name in value):
         raise ValueError('a list of MAVLink messages such as ["HEARTBEAT"]')
+    for name in value:
+        if not is_message(name):
+            raise ValueError(f"messages of the dialect; there is no message {name!r}")
     return tuple(value)
 
 

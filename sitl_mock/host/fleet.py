@@ -15,6 +15,8 @@ from sitl_mock import profiles
 from sitl_mock.autopilot.autopilot import Autopilot, Setup
 from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.autopilot.table import VehicleTable, vec3
+from sitl_mock.faults.schema import FaultOptions, check_vehicles
+from sitl_mock.faults.vehicle_faults import FaultSchedule, Stages, Subject
 from sitl_mock.host.vehicle import Vehicle
 from sitl_mock.links import DUE_SLACK_S
 from sitl_mock.messages import Outgoing
@@ -42,6 +44,7 @@ class FleetOptions:
         seed: of everything random: origin errors, drifts and wind.
         real_boot: boot as slowly as the real autopilots.
         wind_m_s: mean wind [m/s], with gusts; 0 is still air.
+        faults: inside vehicles, see `sitl_mock.parse_fault`.
 
     Raises:
         ValueError: options that contradict each other or mean nothing; one line that says which.
@@ -54,6 +57,7 @@ class FleetOptions:
     seed: int = 0
     real_boot: bool = False
     wind_m_s: float = 0.0
+    faults: tuple[FaultOptions, ...] = ()
 
     def __post_init__(self) -> None:
         pads = len(self.pads_enu_m)
@@ -68,6 +72,8 @@ class FleetOptions:
         if not self.wind_m_s >= 0.0:
             raise ValueError(f"the wind must not be negative: {self.wind_m_s:g} m/s")
         check_system_ids(self.system_ids)
+        for fault in self.faults:
+            check_vehicles(fault.window, self.system_ids)
 
 
 def check_system_ids(system_ids: Sequence[int]) -> None:
@@ -124,6 +130,9 @@ class Fleet:
             self.vehicles.append(Vehicle(autopilot, self._dialect))
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
         self._rests_until_s = [0.0] * len(self.vehicles)
+        self.stages = Stages([vehicle.autopilot for vehicle in self.vehicles])
+        subjects = [Subject(k, v.autopilot, self.swarm.disturbances) for k, v in enumerate(self.vehicles)]
+        self._faults = FaultSchedule(options.faults, subjects, self.stages)
         self._step = 0
         self._scene: Scene | None = None  # the newest
 
@@ -172,6 +181,8 @@ class Fleet:
         """Run the logic of every vehicle that has something to decide."""
         sent: list[Sent] = []
         now_s = self.swarm.time_s
+        for k in self._faults.advance(now_s):
+            self._rests_until_s[k] = now_s
         for k, touches in enumerate(self.swarm.in_contact.tolist()):
             vehicle = self.vehicles[k]
             if now_s >= self._rests_until_s[k] - TIME_SLACK_S or (touches and vehicle.autopilot.airborne):

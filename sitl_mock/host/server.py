@@ -15,6 +15,8 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl_mock.faults.impairments import FROM_VEHICLE, TO_VEHICLE, Impairments
+from sitl_mock.faults.schema import ImpairmentOptions, check_vehicles
 from sitl_mock.host.fleet import Fleet, FleetOptions, Sent, check_system_ids
 from sitl_mock.host.targets import TargetOptions, Targets
 from sitl_mock.physics.swarm import enu_from_ned
@@ -49,6 +51,7 @@ class SimulatorOptions(FleetOptions):
             ports.
         speed: simulated seconds per second of the event loop.
         targets: vehicles to be followed; their ports come after those of the vehicles.
+        impairments: of the links of vehicles and targets, see `sitl_mock.parse_impairment`.
 
     Raises:
         ValueError: options that contradict each other or mean nothing; one line that says which.
@@ -58,14 +61,22 @@ class SimulatorOptions(FleetOptions):
     port_base: int = 0
     speed: float = 1.0
     targets: tuple[TargetOptions, ...] = ()
+    impairments: tuple[ImpairmentOptions, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_system_ids((*self.system_ids, *(target.system_id for target in self.targets)))
+        check_system_ids(self.all_ids)
+        for impairment in self.impairments:
+            check_vehicles(impairment.window, self.all_ids)
         if not self.speed > 0.0:
             raise ValueError(f"the speed must be greater than 0: {self.speed:g}")
         if not self.remotes:
             raise ValueError("there must be at least one remote")
+
+    @property
+    def all_ids(self) -> tuple[int, ...]:
+        """System ids of the vehicles, then of the targets."""
+        return (*self.system_ids, *(target.system_id for target in self.targets))
 
     def local_port(self, vehicle: int, link: int) -> int:
         """The port that a vehicle binds for a remote; 0 lets the system choose."""
@@ -141,7 +152,10 @@ class Simulator:
         self.options = options
         self.fleet = Fleet(options, len(options.remotes))
         self.targets = Targets(options.targets, len(options.remotes), options.origin_deg_m)
+        links = len(options.remotes)
+        self._impairments = Impairments(options.impairments, options.all_ids, links, self.fleet.stages, options.seed)
         self._ports: list[list[_Port]] = []  # [vehicle, then target][link]
+        self._delivery: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None  # the clock, once time runs
         self._timer: asyncio.TimerHandle | None = None
         self._start_s = 0.0  # loop time
@@ -186,9 +200,10 @@ class Simulator:
 
     async def close(self) -> None:
         """Stop time and close every socket; once is enough, more do no harm."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        for timer in (self._timer, self._delivery):
+            if timer is not None:
+                timer.cancel()
+        self._timer = self._delivery = None
         for ports in self._ports:
             for port in ports:
                 port.close()
@@ -197,8 +212,21 @@ class Simulator:
     def receive(self, vehicle: int, link: int, data: bytes) -> None:
         """Answer a datagram at once, at the present simulated time. Targets ignore what they receive."""
         now_s = self._advance()
-        if vehicle < len(self.fleet.vehicles):
-            self._send(self.fleet.receive(vehicle, link, data, now_s))
+        if vehicle >= len(self.fleet.vehicles):
+            return
+        if self._impairments.concern(vehicle, TO_VEHICLE):
+            self._impairments.send(vehicle, link, TO_VEHICLE, data, now_s)
+            self._deliver(now_s)
+        else:
+            self._send(self.fleet.receive(vehicle, link, data, now_s), now_s)
+
+    def begin_stage(self, stage: str) -> None:
+        """The flight comes to a stage that faults or impairments may wait for.
+
+        Raises:
+            ValueError: there is no such stage.
+        """
+        self.fleet.stages.begin(stage, self._now_s())
 
     @property
     def ports(self) -> tuple[int, ...]:
@@ -246,7 +274,7 @@ class Simulator:
         if late_s > 0.0:
             self._slipped_s += late_s
             now_s -= late_s
-        self._send(self.fleet.advance(now_s))
+        self._send(self.fleet.advance(now_s), now_s)
         return now_s
 
     def _now_s(self) -> float:
@@ -257,9 +285,9 @@ class Simulator:
 
     def _tick(self) -> None:
         now_s = self._advance()
-        self._send(self.fleet.telemetry(now_s))
+        self._send(self.fleet.telemetry(now_s), now_s)
         first = len(self.fleet.vehicles)
-        self._send([Sent(first + row, link, data) for row, link, data in self.targets.telemetry(now_s)])
+        self._send([Sent(first + row, link, data) for row, link, data in self.targets.telemetry(now_s)], now_s)
         self._schedule_tick()
 
     def _schedule_tick(self) -> None:
@@ -269,9 +297,36 @@ class Simulator:
         done = math.floor((self._loop.time() - self._start_s) / period_s + 1e-6)  # 1e-6: just on time is not late
         self._timer = self._loop.call_at(self._start_s + (done + 1) * period_s, self._tick)
 
-    def _send(self, sent: list[Sent]) -> None:
+    def _send(self, sent: list[Sent], now_s: float) -> None:
+        impaired = False
         for vehicle, link, data in sent:
-            self._ports[vehicle][link].send(data)
+            if self._impairments.concern(vehicle, FROM_VEHICLE):
+                self._impairments.send(vehicle, link, FROM_VEHICLE, data, now_s)
+                impaired = True
+            else:
+                self._ports[vehicle][link].send(data)
+        if impaired:
+            self._deliver(now_s)
+
+    def _deliver(self, now_s: float) -> None:
+        """Hand over the datagrams that have been long enough on their way, and come back for the next."""
+        for due_s, _, vehicle, link, direction, data in self._impairments.arrived(now_s):
+            if direction == FROM_VEHICLE:
+                self._ports[vehicle][link].send(data)
+            else:
+                self._send(self.fleet.receive(vehicle, link, data, max(due_s, self.fleet.time_s)), now_s)
+        next_s = self._impairments.next_s
+        if self._delivery is not None:
+            self._delivery.cancel()
+            self._delivery = None
+        if next_s is not None:
+            assert self._loop is not None
+            due_s = self._start_s + (next_s + self._slipped_s) / self.options.speed
+            self._delivery = self._loop.call_at(due_s, self._delivered_late)
+
+    def _delivered_late(self) -> None:
+        self._delivery = None
+        self._deliver(self._advance())
 
 
 async def _bind(loop: asyncio.AbstractEventLoop, port: _Port, number: int) -> None:

@@ -93,6 +93,15 @@ class Disturbances:
         self.gust_m_s: Array = self.table["gust_m_s"]  # (V,) standard deviation of gusts on each axis
         self.thrust_share: Array = self.table["thrust_share"]  # (V,) of the greatest thrust; 0: a motor is dead
         self.thrust_share[:] = 1.0
+        self._usual = self.table.copy()
+
+    def make_usual(self) -> None:
+        """What is written now is what there is without faults."""
+        self._usual = self.table.copy()
+
+    def clear(self) -> None:
+        """Leave only what there is without faults."""
+        self.table[:] = self._usual
 
 
 class Swarm:
@@ -144,6 +153,7 @@ class Swarm:
         self._state["upward"][:, 2] = -1.0
         self.disturbances.wind_m_s[:] = wind_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])
         self.disturbances.gust_m_s[:] = physics.wind.gust_share * wind_m_s
+        self.disturbances.make_usual()
 
     def step(self, steps: int = 1) -> None:
         """Advance every vehicle by a number of physics steps; what is commanded does not change meanwhile."""

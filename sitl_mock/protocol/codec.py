@@ -122,3 +122,9 @@ def _message(data: bytes, start: int, stop: int) -> Received | None:
     system, component = data[start + (3 if first else 5)], data[start + (4 if first else 6)]
     values = kind.unpack(data[begin : begin + data[start + 1]])
     return Received(kind.name, system, component, kind.names, values)
+
+
+def first_message_id(data: bytes) -> int | None:
+    """The id of the message that a datagram begins with; None if no frame begins there."""
+    shortest = {MAGIC_V1: HEADER_V1_BYTES, MAGIC_V2: HEADER_V2_BYTES}.get(data[0] if data else 0)
+    return None if shortest is None or len(data) < shortest else _id(data, 0)

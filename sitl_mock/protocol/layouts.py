@@ -127,4 +127,9 @@ def layout_of_id(number: int) -> Layout | None:
     return None if kind is None else layout(kind.msgname)
 
 
+def is_message(name: str) -> bool:
+    """Whether the dialect has a message of this name."""
+    return name in _KINDS
+
+
 _KINDS: Mapping[str, Any] = MappingProxyType({row.msgname: row for row in dialect.mavlink_map.values()})

@@ -81,7 +81,11 @@ def _set_origin(vehicle: Autopilot, message: Received, link: int, now_s: float) 
 
 def _timesync(vehicle: Autopilot, message: Received, link: int, now_s: float) -> None:
     if message.fields["tc1"] == 0:
-        vehicle.send("TIMESYNC", {"tc1": round(now_s * 1e9), "ts1": message.fields["ts1"]}, link)
+        vehicle.send(
+            "TIMESYNC",
+            {"tc1": round(vehicle.table.clock_s(vehicle.row, now_s) * 1e9), "ts1": message.fields["ts1"]},
+            link,
+        )
 
 
 def set_mode_with(change: Callable[[Autopilot, int], object]) -> Handler:

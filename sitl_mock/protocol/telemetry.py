@@ -21,6 +21,8 @@ FENCE_BIT = 0x100000  # MAV_SYS_STATUS_GEOFENCE: there is none to breach; MAVPro
 PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x200000 | 0x2000000
 NAN = math.nan
+NO_FIX = 1  # GPS_FIX_TYPE: a receiver is there, satellites are not
+GPS_BIT = 0x20  # MAV_SYS_STATUS_SENSOR_GPS
 NO_CELL = 65535  # "no such cell" in BATTERY_STATUS
 
 Builder = Callable[[Autopilot, BodyState], Fields | None]
@@ -60,11 +62,14 @@ def _heartbeat(vehicle: Autopilot, body: BodyState) -> Fields:
 
 
 def _sys_status(vehicle: Autopilot, body: BodyState) -> Fields:
-    able = vehicle.rules.arming_refusal(vehicle) is None
+    able = vehicle.rules.arming_refusal(vehicle) is None and not vehicle.wrecked
+    gps = vehicle.gps_lost_at_s is None
     return {
         "onboard_control_sensors_present": SENSORS | PREARM_BIT,
         "onboard_control_sensors_enabled": SENSORS | PREARM_BIT,
-        "onboard_control_sensors_health": SENSORS | FENCE_BIT | (PREARM_BIT if able else 0),
+        "onboard_control_sensors_health": (SENSORS if gps else SENSORS & ~GPS_BIT)
+        | FENCE_BIT
+        | (PREARM_BIT if able else 0),
         "load": 100,
         "voltage_battery": round(1e3 * vehicle.battery.voltage_v),
         "current_battery": 1500 if vehicle.armed else 50,
@@ -85,10 +90,10 @@ def _system_time(vehicle: Autopilot, body: BodyState) -> Fields:
 def _gps_raw_int(vehicle: Autopilot, body: BodyState) -> Fields:
     point = vehicle.world.geodetic(*body.position_m)
     v = body.velocity_m_s
-    fix = vehicle.ready or vehicle.now_s >= vehicle.boot.origin_s
+    fix = (vehicle.ready or vehicle.uptime_s >= vehicle.boot.origin_s) and vehicle.gps_lost_at_s is None
     return {
         "time_usec": boot_us(body),
-        "fix_type": vehicle.profile.gps_fix if fix else 0,
+        "fix_type": vehicle.profile.gps_fix if fix else NO_FIX,
         "lat": round(point.latitude_deg * 1e7),
         "lon": round(point.longitude_deg * 1e7),
         "alt": round(point.altitude_m * 1e3),
@@ -96,7 +101,7 @@ def _gps_raw_int(vehicle: Autopilot, body: BodyState) -> Fields:
         "epv": 100,
         "vel": round(math.hypot(v[0], v[1]) * 100),
         "cog": round(math.degrees(math.atan2(v[1], v[0])) % 360.0 * 100) % 36000,
-        "satellites_visible": 10,
+        "satellites_visible": 10 if fix else 0,
     }
 
 

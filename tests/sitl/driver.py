@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as dialect
 
 from sitl_mock.autopilot.autopilot import Autopilot
+from sitl_mock.faults.schema import FaultOptions
 from sitl_mock.host.fleet import Fleet, FleetOptions, Sent
 from sitl_mock.messages import Landed
 
@@ -36,7 +37,7 @@ class Station:
     Args:
         autopilot: "px4" or "ardupilot".
         vehicles: how many, on a line 3 m apart to the east.
-        links, seed, real_boot, wind_m_s: as in `FleetOptions`.
+        links, seed, real_boot, wind_m_s, faults: as in `FleetOptions`.
     """
 
     def __init__(
@@ -48,10 +49,13 @@ class Station:
         seed: int = 0,
         real_boot: bool = False,
         wind_m_s: float = 0.0,
+        faults: tuple[FaultOptions, ...] = (),
     ) -> None:
         pads = tuple((3.0 * k, 0.0) for k in range(vehicles))
         ids = tuple(range(1, vehicles + 1))
-        self.fleet = Fleet(FleetOptions(autopilot, pads, ids, seed=seed, real_boot=real_boot, wind_m_s=wind_m_s), links)
+        options = FleetOptions(autopilot, pads, ids, seed=seed, real_boot=real_boot, wind_m_s=wind_m_s, faults=faults)
+        self.fleet = Fleet(options, links)
+        self._first_origins_m = [np.array(self.vehicle(k).local_origin_ned_m) for k in range(vehicles)]
         self.px4 = autopilot == "px4"
         self.tick = 0
         self.heard: list[tuple[float, int, int, Any]] = []  # time, vehicle, link, message
@@ -159,6 +163,10 @@ class Station:
             assert self.command(TAKEOFF, 0, 0, 0, 0, 0, 0, height_m, vehicle=vehicle) == [0]
             self.run(14.0)
         assert abs(self.height_m(vehicle) - height_m) < 0.5  # settling, or gusts
+
+    def first_origin_m(self, vehicle: int) -> NDArray[np.float64]:
+        """Where its local frame had its zero at the beginning; world NED."""
+        return self._first_origins_m[vehicle]
 
     def landed(self, vehicle: int = 0) -> Landed:
         return self.vehicle(vehicle).landed
