@@ -28,6 +28,7 @@ class Link:
         next_s: before this no stream is due.
         texts_open: whether it is sent status texts.
         parameter_index: next of a running PARAM_REQUEST_LIST.
+        frozen_s: from then on nothing is sent, until something is heard again.
     """
 
     def __init__(self, streams_hz: Mapping[str, float], start_s: float) -> None:
@@ -36,6 +37,7 @@ class Link:
         self.next_s = start_s
         self.texts_open = False
         self.parameter_index: int | None = None
+        self.frozen_s = math.inf
 
     def set_interval(self, name: str, period_s: float | None, now_s: float) -> None:
         """Send a message every `period_s` from now on; None stops it."""

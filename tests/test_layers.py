@@ -44,6 +44,7 @@ ORDER = (  # imports go up this list only, never down it; the longest name that 
     "sitl_mock.autopilot",
     "sitl_mock.protocol",
     "sitl_mock.profiles",
+    "sitl_mock.faults",
     "sitl_mock.host",
     "sitl_mock",
 )
@@ -70,7 +71,7 @@ ADAPTERS = {  # what alone may import what
     "rich": {"fg_gcs/console/"},
     "pydantic": {"fg_gcs/mission/"},
     "pydantic_core": {"fg_gcs/mission/"},
-    "pymavlink": {"fg_gcs/wire/", "sitl_mock/protocol/codec.py"},
+    "pymavlink": {"fg_gcs/wire/", "sitl_mock/protocol/layouts.py"},
     "numba": {"fg_gcs/compiling.py", "sitl_mock/physics/compiling.py"},
 }
 MOST_LINES, MOST_FUNCTION_LINES = 600, 60

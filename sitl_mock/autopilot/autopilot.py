@@ -17,7 +17,7 @@ from typing import NamedTuple
 from sitl_mock.autopilot.battery import Battery
 from sitl_mock.autopilot.guidance import BodyState, Guidance, GuidanceRules
 from sitl_mock.autopilot.parameters import Parameters
-from sitl_mock.autopilot.profile import Behaviour, FlightMode, ModeEvent, Need
+from sitl_mock.autopilot.profile import Behaviour, FlightMode, Manners, ModeEvent, Need
 from sitl_mock.autopilot.setpoints import Interpretation, Pose, SetpointEffect, SetpointFields
 from sitl_mock.autopilot.table import VehicleTable, vec3
 from sitl_mock.links import Link
@@ -35,6 +35,7 @@ class Setup(NamedTuple):
     system_id: int
     links: int
     real_boot: bool
+    manners: Manners
     row: int  # of the fleet's arrays
     drift_rad: float
     sense: Callable[[float], BodyState]  # the vehicle as its estimator has it at a simulated time
@@ -71,6 +72,7 @@ class Autopilot:
         self.profile = profile = rules.profile
         self.world = world
         self.system_id = setup.system_id
+        self.manners = setup.manners
         self.boot = profile.boot if setup.real_boot else profile.quick_boot
         self.parameters = Parameters(profile, setup.system_id)
         self.guidance = Guidance(rules, self.parameters, setup.drift_rad)
@@ -295,6 +297,11 @@ class Autopilot:
         self.outbox.clear()
         self._deferred.clear()
         self.steer()
+
+    def freeze(self) -> None:
+        """Say nothing more on any link, until something is heard there again; what is being said goes out."""
+        for link in self.links:
+            link.frozen_s = self.now_s
 
     def reboot(self) -> None:
         """Begin anew, with what parameters there are; in the air it falls meanwhile."""

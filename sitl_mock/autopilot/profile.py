@@ -50,6 +50,21 @@ class ModeEvent(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Manners:
+    """Ways of one autopilot that differ from one version to another; each may be asked for.
+
+    Attributes:
+        strict_commands: parameters that a command does not have must be 0 or NaN, else it is denied.
+        new_partner: a partner that fell silent is replaced by whoever speaks next.
+        parameter_freeze: a changed parameter makes it forget its partner, until something is heard again.
+    """
+
+    strict_commands: bool = False
+    new_partner: bool = False
+    parameter_freeze: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class FlightMode:
     """One flight mode: its number on the wire and what it does."""
 
@@ -154,6 +169,7 @@ class AutopilotProfile:
     setpoint_outlives_mode: bool  # the last setpoint is still there when the streaming mode is entered
     command_ends_failsafe: bool  # a mode by command ends a failsafe; else it lasts until its cause is gone
     streaming_bit: int  # of HEARTBEAT.base_mode while setpoints come in the streaming mode
+    manners: frozenset[str]  # those of `Manners` that it can have
     # Boot
     boot: Boot
     quick_boot: Boot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 from sitl_mock import profiles
 from sitl_mock.autopilot.autopilot import Autopilot, Setup
 from sitl_mock.autopilot.guidance import BodyState
+from sitl_mock.autopilot.profile import AutopilotProfile, Manners
 from sitl_mock.autopilot.table import VehicleTable, vec3
 from sitl_mock.faults.schema import FaultOptions, check_vehicles
 from sitl_mock.faults.vehicle_faults import FaultSchedule, Stages, Subject
@@ -44,6 +45,7 @@ class FleetOptions:
         seed: of everything random: origin errors, drifts and wind.
         real_boot: boot as slowly as the real autopilots.
         wind_m_s: mean wind [m/s], with gusts; 0 is still air.
+        manners: of other versions of the autopilot.
         faults: inside vehicles, see `sitl_mock.parse_fault`.
 
     Raises:
@@ -57,6 +59,7 @@ class FleetOptions:
     seed: int = 0
     real_boot: bool = False
     wind_m_s: float = 0.0
+    manners: Manners = field(default_factory=Manners)
     faults: tuple[FaultOptions, ...] = ()
 
     def __post_init__(self) -> None:
@@ -72,6 +75,9 @@ class FleetOptions:
         if not self.wind_m_s >= 0.0:
             raise ValueError(f"the wind must not be negative: {self.wind_m_s:g} m/s")
         check_system_ids(self.system_ids)
+        for manner in fields(self.manners):
+            if getattr(self.manners, manner.name) and manner.name not in profile_of(self.autopilot).manners:
+                raise ValueError(f"{manner.name} is no manner of {self.autopilot}")
         for fault in self.faults:
             check_vehicles(fault.window, self.system_ids)
 
@@ -87,6 +93,11 @@ def check_system_ids(system_ids: Sequence[int]) -> None:
             raise ValueError(f"MAVLink has no system id {system_id}: they are 1 to 255")
         if times > 1:
             raise ValueError(f"system id {system_id} belongs to {times} vehicles")
+
+
+def profile_of(autopilot: str) -> AutopilotProfile:
+    """The profile of an autopilot."""
+    return profiles.strategy(autopilot).rules.profile
 
 
 def grid(vehicles: int, spacing_m: float = 3.0) -> tuple[tuple[float, float], ...]:
@@ -125,7 +136,7 @@ class Fleet:
         self.vehicles = []
         for k, system_id in enumerate(options.system_ids):
             drift_rad = float(drifts.uniform(-np.pi, np.pi))
-            setup = Setup(system_id, links, options.real_boot, k, drift_rad, partial(self._body, k))
+            setup = Setup(system_id, links, options.real_boot, options.manners, k, drift_rad, partial(self._body, k))
             autopilot = Autopilot(rules, setup, self._world, self._table)
             self.vehicles.append(Vehicle(autopilot, self._dialect))
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
@@ -215,7 +226,7 @@ class Fleet:
                 yield from self._packed(k, [Outgoing(name, None, link)], now_s)
             return
         scene = self._scene_at(now_s)
-        whom = [(k, link) for k, link in whom if sendable(builder, scene, k)]
+        whom = [(k, link) for k, link in whom if sendable(builder, scene, k) and self._talks(k, link, now_s)]
         if whom:
             payloads = builder.payloads(scene, np.array([k for k, _ in whom]))
             codecs = [self.vehicles[k].codecs[link] for k, link in whom]
@@ -227,16 +238,23 @@ class Fleet:
         """What a vehicle says, as bytes; what it cannot say now is left out."""
         sent: list[Sent] = []
         codecs, autopilot = self.vehicles[vehicle].codecs, self.vehicles[vehicle].autopilot
-        for name, fields, only in messages:
+        for name, content, only in messages:
             links = range(len(codecs)) if only is None else (only,)
-            if fields is None and name in self._dialect.row_builders:
+            if content is None and name in self._dialect.row_builders:
                 sent += self._streamed(name, [(vehicle, link) for link in links], now_s)
                 continue
-            if fields is None:
-                fields = self._dialect.fields_of(name, autopilot)
-            if fields is not None:
-                sent += [Sent(vehicle, link, codecs[link].encode(name, fields, autopilot.system_id)) for link in links]
+            if content is None:
+                content = self._dialect.fields_of(name, autopilot)
+            if content is not None:
+                talking = [link for link in links if self._talks(vehicle, link, now_s)]
+                sent += [
+                    Sent(vehicle, link, codecs[link].encode(name, content, autopilot.system_id)) for link in talking
+                ]
         return [one for one in sent if one.data]
+
+    def _talks(self, vehicle: int, link: int, now_s: float) -> bool:
+        """Whether a vehicle says anything on a link now."""
+        return now_s <= self.vehicles[vehicle].autopilot.links[link].frozen_s
 
     def _scene_at(self, now_s: float) -> Scene:
         """All vehicles at a time inside the present step."""

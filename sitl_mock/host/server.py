@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, Self, cast
 
 import numpy as np
@@ -17,13 +18,33 @@ from numpy.typing import NDArray
 
 from sitl_mock.faults.impairments import FROM_VEHICLE, TO_VEHICLE, Impairments
 from sitl_mock.faults.schema import ImpairmentOptions, check_vehicles
+from sitl_mock.host.clock import SimulatedClock
 from sitl_mock.host.fleet import Fleet, FleetOptions, Sent, check_system_ids
 from sitl_mock.host.targets import TargetOptions, Targets
+from sitl_mock.links import DUE_SLACK_S
+from sitl_mock.messages import CommandResult, Fields
 from sitl_mock.physics.swarm import enu_from_ned
+from sitl_mock.protocol.codec import first_message_id
+from sitl_mock.protocol.layouts import layout
 
 HOST = "127.0.0.1"  # simulated vehicles stay on this machine
+PARTNER_SILENT_S = 5.0  # newer PX4 lets a client come back from a new port (its pull request 28518); the time is ours
 REMOTE_PORT_STEP = 3990  # PX4's first links are at 18570 + k and 14580 + k
 Address = tuple[str, int]
+
+# COMMAND_LONG with this number (MAV_CMD_USER_1) is about time where `lockstep` is set, to any vehicle on any link:
+# param1 is a `TimeAction`, param2 of a step is how long it is [s]. Its COMMAND_ACK comes behind all that was said
+# meanwhile, and has the simulated time in `result_param2` [ms].
+TIME_COMMAND = 31010
+LONGEST_STEP_S = 3600.0
+
+
+class TimeAction(IntEnum):
+    """What is to become of simulated time."""
+
+    RUN = 0
+    PAUSE = 1
+    STEP = 2
 
 
 class PortUnavailable(Exception):
@@ -49,7 +70,8 @@ class SimulatorOptions(FleetOptions):
         remotes: where telemetry goes; each is a link of its own.
         port_base: vehicle k listens on port_base + k for the first remote, 3990 lower for each further; 0: any free
             ports.
-        speed: simulated seconds per second of the event loop.
+        speed: simulated seconds per second of the event loop; infinity: as fast as they are computed.
+        lockstep: time stands still at first, and goes as commands say, see `TIME_COMMAND`.
         targets: vehicles to be followed; their ports come after those of the vehicles.
         impairments: of the links of vehicles and targets, see `sitl_mock.parse_impairment`.
 
@@ -60,6 +82,7 @@ class SimulatorOptions(FleetOptions):
     remotes: tuple[Address, ...] = ((HOST, 14550),)
     port_base: int = 0
     speed: float = 1.0
+    lockstep: bool = False
     targets: tuple[TargetOptions, ...] = ()
     impairments: tuple[ImpairmentOptions, ...] = ()
 
@@ -97,12 +120,14 @@ class Counters:
 class _Port(asyncio.DatagramProtocol):
     """One vehicle's socket for one remote."""
 
-    def __init__(self, simulator: Simulator, vehicle: int, link: int, remote: Address, sticky: bool) -> None:
+    def __init__(self, simulator: Simulator, vehicle: int, link: int, remote: Address) -> None:
         self._simulator = simulator
         self._vehicle, self._link = vehicle, link
         self._partner = remote
-        self._sticky = sticky  # the first sender becomes the partner for good; else only the remote is listened to
-        self._met = False
+        # The first sender becomes the partner, for good or until it falls silent; else only the remote is listened to.
+        self._sticky = simulator.fleet.profile.first_sender_is_partner
+        self._replaced = simulator.options.manners.new_partner
+        self._heard_s: float | None = None  # the partner
         self._transport: asyncio.DatagramTransport | None = None
         self.dropped = 0
         self.errors = 0
@@ -113,11 +138,15 @@ class _Port(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
         sender = (str(addr[0]), int(addr[1]))
-        if self._sticky and not self._met:
-            self._partner, self._met = sender, True
+        now_s = self._simulator.now_s
         if not self._sticky and sender != self._partner:
             self.dropped += 1
             return
+        silent_s = math.inf if self._heard_s is None else now_s - self._heard_s if self._replaced else 0.0
+        if self._sticky and (silent_s > PARTNER_SILENT_S or self._simulator.is_frozen(self._vehicle, self._link)):
+            self._partner = sender
+        if sender == self._partner:
+            self._heard_s = now_s
         self._simulator.receive(self._vehicle, self._link, data)
 
     def error_received(self, exc: Exception) -> None:
@@ -156,10 +185,9 @@ class Simulator:
         self._impairments = Impairments(options.impairments, options.all_ids, links, self.fleet.stages, options.seed)
         self._ports: list[list[_Port]] = []  # [vehicle, then target][link]
         self._delivery: asyncio.TimerHandle | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None  # the clock, once time runs
-        self._timer: asyncio.TimerHandle | None = None
-        self._start_s = 0.0  # loop time
-        self._slipped_s = 0.0  # simulated time
+        self._loop: asyncio.AbstractEventLoop | None = None  # once it was started
+        self._clock: SimulatedClock | None = None  # likewise
+        self._timer: asyncio.Handle | None = None
 
     async def __aenter__(self) -> Self:
         """Start.
@@ -184,26 +212,23 @@ class Simulator:
         if self._ports:
             raise RuntimeError("a simulator can be started only once")
         loop = asyncio.get_running_loop()
-        sticky = self.fleet.profile.first_sender_is_partner
         try:
             for vehicle in range(len(self.options.system_ids) + len(self.options.targets)):
                 self._ports.append([])
                 for link, remote in enumerate(self.options.remotes):
-                    port = _Port(self, vehicle, link, remote, sticky)
+                    port = _Port(self, vehicle, link, remote)
                     await _bind(loop, port, self.options.local_port(vehicle, link))
                     self._ports[vehicle].append(port)
         except PortUnavailable:
             await self.close()
             raise
-        self._loop, self._start_s = loop, loop.time()
+        self._loop = loop
+        self._clock = SimulatedClock(loop.time, self.options.speed, paused=self.options.lockstep)
         self._schedule_tick()
 
     async def close(self) -> None:
         """Stop time and close every socket; once is enough, more do no harm."""
-        for timer in (self._timer, self._delivery):
-            if timer is not None:
-                timer.cancel()
-        self._timer = self._delivery = None
+        self._cancel_timers()
         for ports in self._ports:
             for port in ports:
                 port.close()
@@ -212,7 +237,7 @@ class Simulator:
     def receive(self, vehicle: int, link: int, data: bytes) -> None:
         """Answer a datagram at once, at the present simulated time. Targets ignore what they receive."""
         now_s = self._advance()
-        if vehicle >= len(self.fleet.vehicles):
+        if vehicle >= len(self.fleet.vehicles) or self._controlled(vehicle, link, data):
             return
         if self._impairments.concern(vehicle, TO_VEHICLE):
             self._impairments.send(vehicle, link, TO_VEHICLE, data, now_s)
@@ -220,13 +245,19 @@ class Simulator:
         else:
             self._send(self.fleet.receive(vehicle, link, data, now_s), now_s)
 
+    def is_frozen(self, vehicle: int, link: int) -> bool:
+        """Whether a vehicle has forgotten its partner on a link, see `Manners.parameter_freeze`."""
+        if vehicle >= len(self.fleet.vehicles):
+            return False
+        return math.isfinite(self.fleet.vehicles[vehicle].autopilot.links[link].frozen_s)
+
     def begin_stage(self, stage: str) -> None:
         """The flight comes to a stage that faults or impairments may wait for.
 
         Raises:
             ValueError: there is no such stage.
         """
-        self.fleet.stages.begin(stage, self._now_s())
+        self.fleet.stages.begin(stage, self.now_s)
 
     @property
     def ports(self) -> tuple[int, ...]:
@@ -246,7 +277,7 @@ class Simulator:
     @property
     def targets_enu_m(self) -> NDArray[np.float64]:
         """(C, 3) true positions of the targets, world ENU [m]."""
-        return np.array(self.targets.positions_enu_m(self._now_s())).reshape(-1, 3)
+        return np.array(self.targets.positions_enu_m(self.now_s)).reshape(-1, 3)
 
     @property
     def armed(self) -> NDArray[np.bool_]:
@@ -264,38 +295,130 @@ class Simulator:
             dropped=sum(port.dropped for port in ports),
             unsendable=sum(codec.unsendable for codec in codecs),
             send_errors=sum(port.errors for port in ports),
-            slipped_s=self._slipped_s,
+            slipped_s=0.0 if self._clock is None else self._clock.slipped_s,
         )
+
+    # -- time -----------------------------------------------------------------------------------------------------
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time, also before the start [s]."""
+        return 0.0 if self._clock is None else self._clock.now_s()
+
+    def pause(self) -> None:
+        """Let time stand still: vehicles neither move nor say anything by themselves, but answer.
+
+        Raises:
+            RuntimeError: it was not started.
+        """
+        self._running_clock().pause()
+        self._cancel_timers()
+
+    def resume(self) -> None:
+        """Let time go on.
+
+        Raises:
+            RuntimeError: it was not started.
+        """
+        self._running_clock().run()
+        self._cancel_timers()
+        self._schedule_tick()
+
+    def step(self, seconds: float) -> None:
+        """Let a paused simulator's time go on by so much, at once; all that is said meanwhile is sent.
+
+        Raises:
+            RuntimeError: it was not started, or is not paused.
+        """
+        clock = self._running_clock()
+        if not clock.paused:
+            raise RuntimeError("only a paused simulator can be stepped")
+        end_s = clock.now_s() + seconds
+        while (left_s := end_s - clock.now_s()) > DUE_SLACK_S:
+            clock.move(min(left_s, self.fleet.physics.time.tick_s))
+            self._say_what_is_due()
+
+    def _running_clock(self) -> SimulatedClock:
+        if self._clock is None:
+            raise RuntimeError("the simulator was not started")
+        return self._clock
 
     def _advance(self) -> float:
         """Bring the fleet to the present; give its time."""
-        now_s = self._now_s()
+        if self._clock is None:
+            return 0.0
+        clock = self._clock
+        now_s = clock.now_s()
         late_s = now_s - self.fleet.time_s - self.fleet.physics.time.catch_up_s
-        if late_s > 0.0:
-            self._slipped_s += late_s
+        if late_s > 0.0 and clock.goes:
+            clock.slip(late_s)
             now_s -= late_s
         self._send(self.fleet.advance(now_s), now_s)
         return now_s
 
-    def _now_s(self) -> float:
-        """Simulated time, also before the start."""
-        if self._loop is None:
-            return 0.0
-        return (self._loop.time() - self._start_s) * self.options.speed - self._slipped_s
-
     def _tick(self) -> None:
+        clock = self._running_clock()
+        if not clock.goes:
+            clock.move(self.fleet.physics.time.tick_s)
+        self._say_what_is_due()
+        self._schedule_tick()
+
+    def _say_what_is_due(self) -> None:
         now_s = self._advance()
         self._send(self.fleet.telemetry(now_s), now_s)
         first = len(self.fleet.vehicles)
         self._send([Sent(first + row, link, data) for row, link, data in self.targets.telemetry(now_s)], now_s)
-        self._schedule_tick()
+        if self._impairments.next_s is not None:
+            self._deliver(now_s)
 
     def _schedule_tick(self) -> None:
         """The next tick at an absolute deadline: late ticks are left out, never queued."""
+        clock, tick_s = self._running_clock(), self.fleet.physics.time.tick_s
         assert self._loop is not None
-        period_s = self.fleet.physics.time.tick_s / self.options.speed
-        done = math.floor((self._loop.time() - self._start_s) / period_s + 1e-6)  # 1e-6: just on time is not late
-        self._timer = self._loop.call_at(self._start_s + (done + 1) * period_s, self._tick)
+        if clock.paused:
+            return
+        if not clock.goes:
+            self._timer = self._loop.call_soon(self._tick)
+            return
+        done = math.floor(clock.now_s() / tick_s + 1e-6)  # 1e-6: just on time is not late
+        self._timer = self._loop.call_at(clock.loop_s((done + 1) * tick_s), self._tick)
+
+    def _cancel_timers(self) -> None:
+        for timer in (self._timer, self._delivery):
+            if timer is not None:
+                timer.cancel()
+        self._timer = self._delivery = None
+
+    # -- datagrams ------------------------------------------------------------------------------------------------
+
+    def _controlled(self, vehicle: int, link: int, data: bytes) -> bool:
+        """Whether a datagram is a command about time itself, see `TIME_COMMAND`; it is done and acknowledged."""
+        if not self.options.lockstep or first_message_id(data) != layout("COMMAND_LONG").id:
+            return False
+        own = self.fleet.vehicles[vehicle]
+        found = [m for m in own.codecs[link].decode(data) if m.fields.get("command") == TIME_COMMAND]
+        if not found:
+            return False
+        action, seconds = found[0].fields["param1"], found[0].fields["param2"]
+        result = CommandResult.ACCEPTED
+        if action == TimeAction.RUN:
+            self.resume()
+        elif action == TimeAction.PAUSE:
+            self.pause()
+        elif action == TimeAction.STEP and self._running_clock().paused and 0.0 <= seconds <= LONGEST_STEP_S:
+            self.step(seconds)
+        else:
+            result = CommandResult.DENIED
+        fields: Fields = {
+            "command": TIME_COMMAND,
+            "result": int(result),
+            "result_param2": round(self.now_s * 1e3),
+            "target_system": found[0].system,
+            "target_component": found[0].component,
+        }
+        acknowledgement = own.codecs[link].encode("COMMAND_ACK", fields, own.autopilot.system_id)
+        self._send([Sent(vehicle, link, acknowledgement)], self.now_s)
+        return True
 
     def _send(self, sent: list[Sent], now_s: float) -> None:
         impaired = False
@@ -315,16 +438,15 @@ class Simulator:
                 self._ports[vehicle][link].send(data)
             else:
                 self._send(self.fleet.receive(vehicle, link, data, max(due_s, self.fleet.time_s)), now_s)
-        next_s = self._impairments.next_s
+        next_s, clock = self._impairments.next_s, self._clock
         if self._delivery is not None:
             self._delivery.cancel()
             self._delivery = None
-        if next_s is not None:
+        if next_s is not None and clock is not None and clock.goes:  # else the ticks do it
             assert self._loop is not None
-            due_s = self._start_s + (next_s + self._slipped_s) / self.options.speed
-            self._delivery = self._loop.call_at(due_s, self._delivered_late)
+            self._delivery = self._loop.call_at(clock.loop_s(next_s), self._deliver_later)
 
-    def _delivered_late(self) -> None:
+    def _deliver_later(self) -> None:
         self._delivery = None
         self._deliver(self._advance())
 

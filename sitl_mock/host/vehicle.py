@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from sitl_mock.autopilot.autopilot import Autopilot
 from sitl_mock.autopilot.ground import GroundWatch
 from sitl_mock.messages import Outgoing
@@ -38,6 +40,7 @@ class Vehicle:
         self.autopilot.enter(now_s)
         if self.autopilot.dead:
             return []
+        self.autopilot.links[link].frozen_s = math.inf
         for message in self.codecs[link].decode(data):
             self._dialect.receive(self.autopilot, message, link, now_s)
         return self._drained()

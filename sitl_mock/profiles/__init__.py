@@ -1,4 +1,4 @@
-"""The autopilots that can be simulated: one module each, with its parameters in the TOML file of the same name.
+"""The autopilots that can be simulated: one package (or module) each, with its parameters in a TOML file.
 
 A module has a `STRATEGY`: the autopilot's rules, with its profile, and its dialect. A new module here is a new
 autopilot; nothing else has to know its name. Every number was measured on the wire of the real SITL autopilots (PX4

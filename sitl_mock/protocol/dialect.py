@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,6 +21,7 @@ class Dialect:
     Attributes:
         messages: by the message's name; what is not there is ignored. Commands have tables of their own.
         commands: by MAV_CMD; a handler that returns None has acknowledged already, or never does.
+        used_parameters: by MAV_CMD, which of the first four parameters a command has, as bits; others are not checked.
         fixed_results: of commands that do nothing; any other command is UNSUPPORTED.
         builders: by the message's name; what is neither here nor in `row_builders` is never sent.
         row_builders: likewise, of messages that come often.
@@ -27,6 +29,7 @@ class Dialect:
 
     messages: Mapping[str, services.Handler]
     commands: Mapping[int, commands.Handler]
+    used_parameters: Mapping[int, int]
     fixed_results: Mapping[int, CommandResult]
     builders: Mapping[str, telemetry.Builder]
     row_builders: Mapping[str, RowBuilder]
@@ -55,11 +58,20 @@ class Dialect:
                 vehicle.send_text(refusal.text, Severity.WARNING)
                 vehicle.outbox.append(acknowledgement(command, refusal.result))
                 return
+        if vehicle.manners.strict_commands and not self._is_clean(command):
+            vehicle.outbox.append(acknowledgement(command, CommandResult.DENIED))
+            return
         handler = self.commands.get(command.number)
         fixed = self.fixed_results.get(command.number, CommandResult.UNSUPPORTED)
         result = fixed if handler is None else handler(vehicle, command)
         if result is not None:
             vehicle.outbox.append(acknowledgement(command, result))
+
+    def _is_clean(self, command: Command) -> bool:
+        """Whether all parameters that a command does not have are 0 or NaN."""
+        used = self.used_parameters.get(command.number, 0b1111)
+        unused = [value for k, value in enumerate(command.parameters[:4]) if not used & 1 << k]
+        return all(value == 0.0 or math.isnan(value) for value in unused)
 
 
 class Strategy(NamedTuple):

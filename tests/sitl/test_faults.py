@@ -1,4 +1,4 @@
-"""Every fault does what it says, by the truth and on the wire, in both profiles; tables that make no sense are refused."""
+"""Every fault does what it says, by the truth and on the wire, in both profiles; bad tables are refused."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sitl_mock import parse_fault, parse_impairment
 from sitl_mock.faults.schema import COMMANDS, IMPAIRMENT, KINDS, RESULTS, WINDOW
 from sitl_mock.faults.vehicle_faults import EFFECTS
 from sitl_mock.messages import SystemStatus
-from tests.sitl.driver import AP_LAND, AP_RTL, ARM, GUIDED, OFFBOARD, PX4_LAND, PX4_RTL, Station, ready
+from tests.sitl.driver import AP_LAND, AP_RTL, ARM, GUIDED, OFFBOARD, PX4_LAND, PX4_RTL, Station
 
 AUTOPILOTS = ("px4", "ardupilot")
 BOTH = pytest.mark.parametrize("autopilot", AUTOPILOTS)

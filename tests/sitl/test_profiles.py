@@ -106,7 +106,7 @@ def test_an_unknown_autopilot_is_refused_with_those_there_are() -> None:
 
 def test_a_new_autopilot_is_a_module_and_a_file_of_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It can be chosen by its name, boots, takes off and lands by a rule and a parameter of its own."""
-    parameters = (ROOT / "profiles" / "ardupilot.toml").read_text(encoding="utf-8")
+    parameters = (ROOT / "profiles" / "ardupilot" / "parameters.toml").read_text(encoding="utf-8")
     (tmp_path / "generic.py").write_text(GENERIC, encoding="utf-8")
     (tmp_path / "generic.toml").write_text(f"{parameters}\nDESCENT = 2.0\n", encoding="utf-8")
     monkeypatch.setattr(profiles, "__path__", [*profiles.__path__, str(tmp_path)])
