@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from sitl_mock import profiles
 
@@ -24,8 +25,14 @@ examples:
   python -m sitl_mock --vehicles 0 --target '{"system_id": 101, "kind": "circle", "centre_enu_m": [0, 0, 18],
       "radius_m": 50, "speed_m_s": 4}'
       only a vehicle to be followed, which flies a circle
+  python -m sitl_mock --vehicles 9 --fault '{"kind": "gps_loss", "vehicles": [3], "at_s": 30}'
+      vehicle 3 loses its satellites after half a minute
+  python -m sitl_mock --vehicles 9 --impair '{"loss": 0.2, "delay_s": 0.1, "jitter_s": 0.05}'
+      every link loses a fifth of its datagrams, the others come 100 to 150 ms late
 """
 USAGE_ERROR = 2
+
+Options = TypeVar("Options")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_vehicles(parser)
     _add_sockets(parser)
     _add_world(parser)
+    _add_trouble(parser)
 
 
 def _add_vehicles(parser: argparse.ArgumentParser) -> None:
@@ -103,6 +111,35 @@ def _add_sockets(parser: argparse.ArgumentParser) -> None:
     add("--with-parent", action="store_true", help="exit when standard input ends")
 
 
+def _add_trouble(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("what goes wrong on purpose (all kinds and keys: --list-faults)")
+    group.add_argument(
+        "--fault",
+        action="append",
+        metavar="JSON",
+        help='a fault inside vehicles: a JSON object with "kind", and if wanted "vehicles", "at_s", "stage", "for_s" '
+        "and the keys of that kind; repeat for more",
+    )
+    group.add_argument(
+        "--impair",
+        action="append",
+        metavar="JSON",
+        help='an impairment of links: a JSON object with "loss", "delay_s", "jitter_s", "reorder", "duplicate" or '
+        '"corrupt", and if wanted "vehicles", "at_s", "stage", "for_s", "direction" and "messages"; repeat for more',
+    )
+    group.add_argument("--list-faults", action=_ListFaults, help="print all kinds and keys, and exit")
+    group = parser.add_argument_group("manners of other versions")
+    for name, text in (
+        (
+            "strict-commands",
+            "parameters that a command does not have must be 0 or NaN, else it is denied (PX4 of 2026)",
+        ),
+        ("new-partner", "a client that fell silent for 5 s is replaced by whoever speaks next (PX4 of 2026)"),
+        ("parameter-freeze", "after a changed parameter nothing is sent until something is heard again (PX4)"),
+    ):
+        group.add_argument(f"--{name}", action="store_true", help=text)
+
+
 def _add_world(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument_group("world").add_argument
     add(
@@ -122,10 +159,16 @@ def _add_world(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: %(default)s)")
     add(
         "--speed",
-        type=_positive,
+        type=_speed,
         default=1.0,
         metavar="X",
-        help="simulated seconds per second of real time (default: %(default)s)",
+        help='simulated seconds per second of real time, or "max": as fast as possible (default: %(default)s)',
+    )
+    add(
+        "--lockstep",
+        action="store_true",
+        help="time stands still until a program lets it go, by COMMAND_LONG 31010 to any vehicle: param1 0 runs, "
+        "1 pauses, 2 steps by param2 seconds; the acknowledgement comes behind all that was said meanwhile",
     )
 
 
@@ -151,6 +194,8 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
     Raises:
         ValueError: options that contradict each other.
     """
+    from sitl_mock.autopilot.profile import Manners
+    from sitl_mock.faults.schema import parse_fault, parse_impairment
     from sitl_mock.host.fleet import grid
     from sitl_mock.host.server import SimulatorOptions
 
@@ -178,7 +223,23 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
         real_boot=arguments.real_boot,
         wind_m_s=arguments.wind,
         targets=targets,
+        lockstep=arguments.lockstep,
+        faults=tuple(_read("--fault", parse_fault, text) for text in arguments.fault or ()),
+        impairments=tuple(_read("--impair", parse_impairment, text) for text in arguments.impair or ()),
+        manners=Manners(arguments.strict_commands, arguments.new_partner, arguments.parameter_freeze),
     )
+
+
+def _read(option: str, parse: Callable[[str], Options], text: str) -> Options:
+    """Read the JSON of an option.
+
+    Raises:
+        ValueError: one line that says what is wrong.
+    """
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise ValueError(f"{option} {text}: {error}") from error
 
 
 def main() -> int:
@@ -208,6 +269,10 @@ def _positive(text: str) -> float:
     if value <= 0.0:
         raise argparse.ArgumentTypeError(f"{text!r} must be greater than 0")
     return value
+
+
+def _speed(text: str) -> float:
+    return math.inf if text == "max" else _positive(text)
 
 
 def _not_negative(text: str) -> float:
@@ -257,6 +322,19 @@ def _target(text: str) -> TargetOptions:
         return parse_target(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
+
+
+class _ListFaults(argparse.Action):
+    """Print what may go wrong."""
+
+    def __init__(self, option_strings: list[str], dest: str, **more: Any) -> None:  # noqa: ANN401  # argparse's own
+        super().__init__(option_strings, dest, nargs=0, **more)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from sitl_mock.faults.schema import told  # pymavlink: not for a mere --help
+
+        print(told())
+        parser.exit()
 
 
 def _system_ids(text: str) -> tuple[int, ...]:

@@ -302,6 +302,18 @@ def parse_impairment(table: Mapping[str, Any] | str) -> ImpairmentOptions:
     return ImpairmentOptions(window, values)
 
 
+def told() -> str:
+    """All kinds and keys for people, a line each."""
+    lines = ["keys of every fault and impairment:", *_told_keys(WINDOW), "", "kinds of faults, with their own keys:"]
+    for name, kind in KINDS.items():
+        lines += [f"  {name}: {kind.says}", *_told_keys(kind.keys, "    ")]
+    return "\n".join([*lines, "", "keys of impairments:", *_told_keys(IMPAIRMENT)])
+
+
+def _told_keys(keys: Mapping[str, Key], indent: str = "  ") -> list[str]:
+    return [f"{indent}{name}{'' if key.default is not None else ' (needed)'}: {key.says}" for name, key in keys.items()]
+
+
 def check_vehicles(window: Window, system_ids: Sequence[int]) -> None:
     """Refuse a window for vehicles that are not there.
 

@@ -334,9 +334,15 @@ class Simulator:
         if not clock.paused:
             raise RuntimeError("only a paused simulator can be stepped")
         end_s = clock.now_s() + seconds
-        while (left_s := end_s - clock.now_s()) > DUE_SLACK_S:
-            clock.move(min(left_s, self.fleet.physics.time.tick_s))
+        tick_s = self.fleet.physics.time.tick_s
+        while (now_s := clock.now_s()) < end_s - DUE_SLACK_S:
+            next_s = (math.floor(now_s / tick_s + 1e-6) + 1) * tick_s  # the same ticks as when time goes by itself
+            if next_s > end_s + DUE_SLACK_S:
+                clock.move(end_s - now_s)
+                break
+            clock.move(next_s - now_s)
             self._say_what_is_due()
+        self._advance()
 
     def _running_clock(self) -> SimulatedClock:
         if self._clock is None:
