@@ -123,14 +123,11 @@ class Swarm:
         random: np.random.Generator,
         model: FlightModel | None = None,
     ) -> None:
-        from sitl_mock.physics import encounters, kernels  # load the compiler: only where something shall fly
-
         vehicles = len(pads_ned_m)
         self.physics = physics
         self.model = physics.particle if model is None else model
         self.time_s = 0.0
         self._steps = 0
-        self._kernels, self._encounters = kernels, encounters
         heading, differences = random.uniform(0.0, 2.0 * math.pi), random.spawn(1)[0]
         self._state = np.zeros(vehicles, STATE)
         self._state["random_state"] = random.integers(0, 2**64, vehicles, dtype=np.uint64)
@@ -156,12 +153,14 @@ class Swarm:
 
     def step(self, steps: int = 1) -> None:
         """Advance every vehicle by a number of physics steps; what is commanded does not change meanwhile."""
+        from sitl_mock.physics import kernels  # loads the compiler: only where something flies
+
         tables = (self._state, self.commands.table, self.disturbances.table, self._models, self._world)
         dt_s = self.physics.time.step_s
         if self.model.law is None:
-            self._kernels.step_particles(*tables, self._steps, dt_s, steps)
+            kernels.step_particles(*tables, self._steps, dt_s, steps)
         else:
-            self._kernels.step_measured(*tables, LAWS.index(self.model.law), self._steps, dt_s, steps)
+            kernels.step_measured(*tables, LAWS.index(self.model.law), self._steps, dt_s, steps)
         self._steps += steps
         self.time_s = self._steps * dt_s
 
@@ -208,7 +207,9 @@ class Swarm:
             limit_m: distance [m].
             span_s: look back so much instead, along the present motion.
         """
-        found = self._encounters.pairs_within(self._before(span_s), self.position_m, limit_m)
+        from sitl_mock.physics import encounters
+
+        found = encounters.pairs_within(self._before(span_s), self.position_m, limit_m)
         return sorted(Pair(*pair) for pair in found)
 
     def closest_pair(self, airborne: NDArray[np.bool_], span_s: float | None = None) -> Pair | None:
@@ -218,7 +219,9 @@ class Swarm:
             airborne: (V,) which vehicles count.
             span_s: as of `pairs_within`.
         """
-        pair = Pair(*self._encounters.closest_pair(self._before(span_s), self.position_m, airborne))
+        from sitl_mock.physics import encounters
+
+        pair = Pair(*encounters.closest_pair(self._before(span_s), self.position_m, airborne))
         return pair if pair.first >= 0 else None
 
     def _before(self, span_s: float | None) -> Array:
