@@ -156,6 +156,12 @@ def _add_world(parser: argparse.ArgumentParser) -> None:
         metavar="M_S",
         help="mean wind speed in m/s, with gusts (default: still air)",
     )
+    add(
+        "--dynamics",
+        choices=("paper", "measured"),
+        default="paper",
+        help="how vehicles fly: as the paper's particle, or as the real autopilots do (default: %(default)s)",
+    )
     add("--seed", type=int, default=0, metavar="S", help="seed of everything random (default: %(default)s)")
     add(
         "--speed",
@@ -223,6 +229,7 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
         real_boot=arguments.real_boot,
         wind_m_s=arguments.wind,
         targets=targets,
+        dynamics=arguments.dynamics,
         lockstep=arguments.lockstep,
         faults=tuple(_read("--fault", parse_fault, text) for text in arguments.fault or ()),
         impairments=tuple(_read("--impair", parse_impairment, text) for text in arguments.impair or ()),

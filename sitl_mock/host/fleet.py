@@ -22,13 +22,14 @@ from sitl_mock.host.vehicle import Vehicle
 from sitl_mock.links import DUE_SLACK_S
 from sitl_mock.messages import Outgoing
 from sitl_mock.physics.constants import Physics, load_physics
-from sitl_mock.physics.geodesy import Geodetic, World
+from sitl_mock.physics.geodesy import Geodetic, World, frame_scale
 from sitl_mock.physics.reference import Limits, Reference, Thrust
 from sitl_mock.physics.swarm import Swarm
 from sitl_mock.protocol.codec import encode_rows
 from sitl_mock.protocol.layouts import layout
 from sitl_mock.protocol.rows import Scene, sendable
 
+DYNAMICS = ("paper", "measured")
 TIME_SLACK_S = 1e-9  # a step whose time floating point put a hair behind now is due
 WORST_ERROR_SIGMAS = 2.2  # measured origins: standard deviation 0.17 and 0.35 m, worst 0.39 and 0.75 m
 
@@ -45,6 +46,7 @@ class FleetOptions:
         seed: of everything random: origin errors, drifts and wind.
         real_boot: boot as slowly as the real autopilots.
         wind_m_s: mean wind [m/s], with gusts; 0 is still air.
+        dynamics: "paper": the paper's particle; "measured": what the real autopilots were measured to do.
         manners: of other versions of the autopilot.
         faults: inside vehicles, see `sitl_mock.parse_fault`.
 
@@ -59,6 +61,7 @@ class FleetOptions:
     seed: int = 0
     real_boot: bool = False
     wind_m_s: float = 0.0
+    dynamics: str = "paper"
     manners: Manners = field(default_factory=Manners)
     faults: tuple[FaultOptions, ...] = ()
 
@@ -72,6 +75,8 @@ class FleetOptions:
             )
         if self.autopilot not in profiles.names():
             raise ValueError(f"autopilot {self.autopilot!r} is not one of: {', '.join(profiles.names())}")
+        if self.dynamics not in DYNAMICS:
+            raise ValueError(f"dynamics {self.dynamics!r} is not one of: {', '.join(DYNAMICS)}")
         if not self.wind_m_s >= 0.0:
             raise ValueError(f"the wind must not be negative: {self.wind_m_s:g} m/s")
         check_system_ids(self.system_ids)
@@ -129,10 +134,14 @@ class Fleet:
         self._world = World(Geodetic(*options.origin_deg_m))
         pads_ned_m = np.array([(north, east, 0.0) for east, north in options.pads_enu_m]).reshape(-1, 3)  # (V, 3)
         errors, drifts, wind = np.random.default_rng(options.seed).spawn(3)
-        self.swarm = Swarm(self.physics, pads_ned_m, options.wind_m_s, wind)
+        model = profiles.flight_model(options.autopilot) if options.dynamics == "measured" else None
+        self.swarm = Swarm(self.physics, pads_ned_m, options.wind_m_s, wind, model)
         sigma = np.array([rules.profile.position_error_m[0]] * 2 + [rules.profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma
         self._table = VehicleTable(pads_ned_m, noise)
+        if model is not None and model.earth_radius_m:
+            latitude_deg, _, altitude_m = options.origin_deg_m
+            self._table.frame_scale[:2] = frame_scale(model.earth_radius_m, latitude_deg, altitude_m)
         self.vehicles = []
         for k, system_id in enumerate(options.system_ids):
             drift_rad = float(drifts.uniform(-np.pi, np.pi))
@@ -140,6 +149,7 @@ class Fleet:
             autopilot = Autopilot(rules, setup, self._world, self._table)
             self.vehicles.append(Vehicle(autopilot, self._dialect))
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
+        self._tuned = [0] * len(self.vehicles)  # how many changes of parameters the control law knows
         self._rests_until_s = [0.0] * len(self.vehicles)
         self.stages = Stages([vehicle.autopilot for vehicle in self.vehicles])
         subjects = [Subject(k, v.autopilot, self.swarm.disturbances) for k, v in enumerate(self.vehicles)]
@@ -174,6 +184,7 @@ class Fleet:
         if rests_until_s < self._rests_until_s[vehicle]:
             self._rests_until_s[vehicle] = rests_until_s
         self._command(vehicle)
+        self._tune(vehicle)
         return self._packed(vehicle, said, now_s) if said else []
 
     def telemetry(self, now_s: float) -> list[Sent]:
@@ -214,6 +225,15 @@ class Fleet:
             self._given[vehicle] = given
             self.swarm.commands.set(vehicle, *given, self.physics.tracking)
         self.swarm.commands.flying[vehicle] = True
+
+    def _tune(self, vehicle: int) -> None:
+        """Let changed parameters reach the control law."""
+        parameters = self.vehicles[vehicle].autopilot.parameters
+        if parameters.changes != self._tuned[vehicle]:
+            self._tuned[vehicle] = parameters.changes
+            for name in self.swarm.model.parameters:
+                if name in parameters:
+                    self.swarm.set_parameter(vehicle, name, parameters[name])
 
     # -- packing --------------------------------------------------------------------------------------------------
 

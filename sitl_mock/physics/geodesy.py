@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sitl_mock.physics.arrays import Array
 
 SEMI_MAJOR_M = 6378137.0  # WGS84
 FLATTENING = 1.0 / 298.257223563  # WGS84
@@ -50,6 +51,19 @@ def _geodetic(x_m: float, y_m: float, z_m: float) -> Geodetic:
     return Geodetic(math.degrees(latitude), math.degrees(math.atan2(y_m, x_m)), height_m)
 
 
+def frame_scale(radius_m: float, latitude_deg: float, altitude_m: float) -> tuple[float, float]:
+    """How long an autopilot's local frame shows a true metre, northwards and eastwards.
+
+    An autopilot takes the Earth for a sphere of `radius_m` (ArduPilot 6378.1 km, PX4 6371 km): its local north is that
+    times a difference of latitudes, its east that times a difference of longitudes and the cosine of the latitude. True
+    lengths go by WGS84's radii of curvature, in the meridian M and across it N: the scales are R/M and R/N.
+    """
+    shape = 1.0 - ECCENTRICITY2 * math.sin(math.radians(latitude_deg)) ** 2
+    across_m = SEMI_MAJOR_M / math.sqrt(shape)
+    meridian_m = across_m * (1.0 - ECCENTRICITY2) / shape
+    return radius_m / (meridian_m + altitude_m), radius_m / (across_m + altitude_m)
+
+
 class World:
     """The tangent plane at an origin.
 
@@ -75,10 +89,23 @@ class World:
             self._origin_m[2] + cos_b * north_m - sin_b * down_m,
         )
 
-    def geodetic_rows(self, position_ned_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The points at NED metres (N, 3) from the origin: latitude, longitude [deg] and altitude [m], (N, 3)."""
-        points = [self.geodetic(*position) for position in position_ned_m.tolist()]
-        return np.array([(p.latitude_deg, p.longitude_deg, p.altitude_m) for p in points]).reshape(-1, 3)
+    def geodetic_rows(self, ned_m: Array) -> Array:
+        """Latitude, longitude [deg] and altitude [m] (V, 3) of points (V, 3) at NED metres from the origin."""
+        north_m, east_m, down_m = ned_m.T
+        sin_b, cos_b = self._sin_latitude, self._cos_latitude
+        sin_l, cos_l = self._sin_longitude, self._cos_longitude
+        outwards_m = -sin_b * north_m - cos_b * down_m
+        x_m = self._origin_m[0] + cos_l * outwards_m - sin_l * east_m
+        y_m = self._origin_m[1] + sin_l * outwards_m + cos_l * east_m
+        z_m = self._origin_m[2] + cos_b * north_m - sin_b * down_m
+        across_m = np.hypot(x_m, y_m)
+        latitude = np.arctan2(z_m, across_m * (1.0 - ECCENTRICITY2))
+        for _ in range(ITERATIONS):
+            normal_m = SEMI_MAJOR_M / np.sqrt(1.0 - ECCENTRICITY2 * np.sin(latitude) ** 2)
+            latitude = np.arctan2(z_m + ECCENTRICITY2 * normal_m * np.sin(latitude), across_m)
+        sin, cos = np.sin(latitude), np.cos(latitude)
+        height_m = across_m * cos + z_m * sin - SEMI_MAJOR_M * np.sqrt(1.0 - ECCENTRICITY2 * sin**2)
+        return np.stack((np.degrees(latitude), np.degrees(np.arctan2(y_m, x_m)), height_m), axis=1)
 
     def ned_m(self, point: Geodetic) -> tuple[float, float, float]:
         """NED metres from the origin to a point."""

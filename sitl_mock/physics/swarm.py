@@ -11,6 +11,7 @@ the autopilots think in it, so that only `Simulator.positions_enu_m` and its lik
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +105,14 @@ class Disturbances:
         self.table[:] = self._usual
 
 
+class Pair(NamedTuple):
+    """Two vehicles, by row, and the least distance of their centres."""
+
+    first: int
+    second: int
+    distance_m: float
+
+
 class Swarm:
     """State and inner loops of V vehicles. All arrays are views that `step` writes into.
 
@@ -123,14 +132,11 @@ class Swarm:
         random: np.random.Generator,
         model: FlightModel | None = None,
     ) -> None:
-        from sitl_mock.physics import kernels  # loads the compiler: only where something shall fly
-
         vehicles = len(pads_ned_m)
         self.physics = physics
         self.model = physics.particle if model is None else model
         self.time_s = 0.0
         self._steps = 0
-        self._kernels = kernels
         heading, differences = random.uniform(0.0, 2.0 * math.pi), random.spawn(1)[0]
         self._state = np.zeros(vehicles, STATE)
         self._state["random_state"] = random.integers(0, 2**64, vehicles, dtype=np.uint64)
@@ -157,12 +163,14 @@ class Swarm:
 
     def step(self, steps: int = 1) -> None:
         """Advance every vehicle by a number of physics steps; what is commanded does not change meanwhile."""
+        from sitl_mock.physics import kernels  # loads the compiler: only where something flies
+
         tables = (self._state, self.commands.table, self.disturbances.table, self._models, self._world)
         dt_s = self.physics.time.step_s
         if self.model.law is None:
-            self._kernels.step_particles(*tables, self._steps, dt_s, steps)
+            kernels.step_particles(*tables, self._steps, dt_s, steps)
         else:
-            self._kernels.step_measured(*tables, LAWS.index(self.model.law), self._steps, dt_s, steps)
+            kernels.step_measured(*tables, LAWS.index(self.model.law), self._steps, dt_s, steps)
         self._steps += steps
         self.time_s = self._steps * dt_s
 
@@ -201,6 +209,35 @@ class Swarm:
             position_m[frozen] = self.estimated_position_m[frozen]
             velocity_m_s[frozen] = self.estimated_velocity_m_s[frozen]
         return position_m, velocity_m_s
+
+    def pairs_within(self, limit_m: float, span_s: float | None = None) -> list[Pair]:
+        """Pairs whose centres came closer than a limit during the last physics step.
+
+        Args:
+            limit_m: distance [m].
+            span_s: look back so much instead, along the present motion.
+        """
+        from sitl_mock.physics import encounters
+
+        found = encounters.pairs_within(self._before(span_s), self.position_m, limit_m)
+        return sorted(Pair(*pair) for pair in found)
+
+    def closest_pair(self, airborne: NDArray[np.bool_], span_s: float | None = None) -> Pair | None:
+        """The pair of marked vehicles that came closest during the last step, or None: fewer than two are marked.
+
+        Args:
+            airborne: (V,) which vehicles count.
+            span_s: as of `pairs_within`.
+        """
+        from sitl_mock.physics import encounters
+
+        pair = Pair(*encounters.closest_pair(self._before(span_s), self.position_m, airborne))
+        return pair if pair.first >= 0 else None
+
+    def _before(self, span_s: float | None) -> Array:
+        """(V, 3) where the vehicles were; exact for the last step, because its acceleration was held."""
+        back_s = self.physics.time.step_s if span_s is None else span_s
+        return self.position_m - self.velocity_m_s * back_s + self.acceleration_m_s2 * (0.5 * back_s * back_s)
 
     def _ahead(self, position_m: Array, velocity_m_s: Array, time_s: float) -> tuple[Array, Array]:
         ahead_s = min(max(time_s - self.time_s, 0.0), self.physics.time.step_s)
