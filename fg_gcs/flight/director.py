@@ -26,7 +26,8 @@ from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
-from fg_gcs.wire.codec import Message
+from fg_gcs.wire.codec import Frame
+from fg_gcs.wire.messages import LOCAL_POSITION_NED
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -130,7 +131,7 @@ class Director:
         """
         networks = self._setup.networks
         wanted = self._wanted()
-        router = self._router = await Router.open(networks, on_message=self._on_message, tap=self._tap)
+        router = self._router = await Router.open(networks, on_frame=self._on_frame, tap=self._tap)
         self.journal.event("open", f"listening at {_places(networks)}")
         background = [asyncio.create_task(router.keep_alive()), asyncio.create_task(self._drain(router))]
         try:
@@ -344,9 +345,9 @@ class Director:
     def _tap(self, _direction: Direction, frame: bytes, now_s: float) -> None:
         self.journal.recorder.frame(frame, now_s)
 
-    def _on_message(self, vehicle: Vehicle, message: Message, now_s: float) -> None:
+    def _on_frame(self, vehicle: Vehicle, frame: Frame, now_s: float) -> None:
         """Keep every position sample of the fleet, once its frames are known."""
-        if message.get_type() == "LOCAL_POSITION_NED" and self.fleet is not None:
+        if frame.message_id == LOCAL_POSITION_NED and self.fleet is not None:
             state = self.fleet.state_enu(vehicle)
             if state is not None:
                 recorder = self.journal.recorder

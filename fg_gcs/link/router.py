@@ -13,8 +13,9 @@ from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import profile_of
-from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, is_known
+from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Frame, Message, is_known
 from fg_gcs.wire.framing import Sender
+from fg_gcs.wire.messages import HEARTBEAT
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
 MOST_PEERS: Final = 512  # addresses kept; a flood of made-up senders must not fill the memory
@@ -29,7 +30,7 @@ class Direction(Enum):
 
 
 Tap = Callable[[Direction, bytes, float], None]
-OnMessage = Callable[[Vehicle, Message, float], None]
+OnFrame = Callable[[Vehicle, Frame, float], None]
 
 
 class Counters(NamedTuple):
@@ -84,10 +85,10 @@ class Router:
         notices: Lines for people, such as a lost connection, or two vehicles with one address (said once).
     """
 
-    def __init__(self, time: Callable[[], float], on_message: OnMessage | None, tap: Tap | None) -> None:
+    def __init__(self, time: Callable[[], float], on_frame: OnFrame | None, tap: Tap | None) -> None:
         self.vehicles: dict[VehicleAddress, Vehicle] = {}
         self.notices: deque[str] = deque(maxlen=64)
-        self._on_message = on_message
+        self._on_frame = on_frame
         self._tap = tap
         self._wires: list[Wire] = []
         self._peers: dict[tuple[int, Address], Peer] = {}  # by wire (its id) and address
@@ -98,19 +99,19 @@ class Router:
 
     @classmethod
     async def open(
-        cls, networks: Mapping[str, Iterable[Endpoint]], *, on_message: OnMessage | None = None, tap: Tap | None = None
+        cls, networks: Mapping[str, Iterable[Endpoint]], *, on_frame: OnFrame | None = None, tap: Tap | None = None
     ) -> Self:
         """Open all endpoints of all networks.
 
         Args:
             networks: Where vehicles are to be found, by the name of the network.
-            on_message: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
+            on_frame: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
             tap: Gets every frame in both directions, unknown ones included, with the loop time [s]: the recorder.
 
         Raises:
             LinkError: A port is taken, or a connection is refused; nothing stays open.
         """
-        router = cls(asyncio.get_running_loop().time, on_message, tap)
+        router = cls(asyncio.get_running_loop().time, on_frame, tap)
         try:
             for network, endpoints in networks.items():
                 for endpoint in endpoints:
@@ -211,36 +212,33 @@ class Router:
         if peer is None:
             return
         now_s = self._time()
-        for message in peer.codec.receive(data):
+        for frame in peer.codec.receive(data):
             if self._tap is not None:
-                self._tap(Direction.IN, bytes(message.get_msgbuf()), now_s)
-            if is_known(message):
-                self._dispatch(peer, message, now_s)
+                self._tap(Direction.IN, frame.raw, now_s)
+            if frame.component_id == _AUTOPILOT and is_known(frame):
+                self._dispatch(peer, frame, now_s)
 
-    def _dispatch(self, peer: Peer, message: Message, now_s: float) -> None:
-        """Give a message to its vehicle; a heartbeat of an autopilot makes one."""
-        system_id = message.get_srcSystem()
-        if message.get_srcComponent() != _AUTOPILOT:
-            return
-        address = VehicleAddress(peer.network, system_id)
+    def _dispatch(self, peer: Peer, frame: Frame, now_s: float) -> None:
+        """Give an autopilot's message to its vehicle; a heartbeat makes one."""
+        address = VehicleAddress(peer.network, frame.system_id)
         vehicle = self.vehicles.get(address)
         if vehicle is None:
-            if system_id in (0, GCS_SYSTEM) or message.get_type() != "HEARTBEAT":
+            if frame.system_id in (0, GCS_SYSTEM) or frame.message_id != HEARTBEAT:
                 return
-            profile = profile_of(message)
+            profile = profile_of(frame.fields())
             if profile is None:
                 return
             vehicle = self.vehicles[address] = Vehicle(address, profile, now_s)
             self._routes[address] = peer
-        elif self._routes[address] is not peer and not self._moved(vehicle, peer, message, now_s):
+        elif self._routes[address] is not peer and not self._moved(vehicle, peer, frame, now_s):
             return
-        vehicle.handle(message, now_s)
-        if self._on_message is not None:
-            self._on_message(vehicle, message, now_s)
+        vehicle.handle(frame, now_s)
+        if self._on_frame is not None:
+            self._on_frame(vehicle, frame, now_s)
 
-    def _moved(self, vehicle: Vehicle, peer: Peer, message: Message, now_s: float) -> bool:
+    def _moved(self, vehicle: Vehicle, peer: Peer, frame: Frame, now_s: float) -> bool:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
-        if now_s - vehicle.heard_at_s > LOST_AFTER_S and message.get_type() == "HEARTBEAT":
+        if now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT:
             self._routes[vehicle.address] = peer
             return True
         self._clashes += 1

@@ -4,14 +4,15 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire import params
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import AutopilotProfile, profile_of
-from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Message
+from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Frame, Message
+from fg_gcs.wire.messages import Attitude, ExtendedSysState, Heartbeat, LocalPositionNed, SysStatus
 from fg_gcs.wire.phases import Phase, PhaseEvent, following
 from fg_gcs.wire.texts import Text, TextAssembler
 
@@ -173,23 +174,23 @@ class Vehicle:
             return None
         return self.ground_ned_m[2] - self.position_ned_m[2]
 
-    def handle(self, message: Message, now_s: float) -> None:
+    def handle(self, frame: Frame, now_s: float) -> None:
         """Take one message of this vehicle; never raises, fields that are not finite are not believed.
 
         Args:
-            message: Any message; those of other components and unknown ones change nothing.
+            frame: Any message; those of other components and unknown ones change nothing.
             now_s: Loop time [s].
         """
-        if message.get_srcComponent() != dialect.MAV_COMP_ID_AUTOPILOT1:
+        if frame.component_id != dialect.MAV_COMP_ID_AUTOPILOT1:
             return
-        identity = message.get_msgId()
-        if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and profile_of(message) is not self.profile:
-            return
-        self.heard_at_s = now_s
-        self.message_at_s[identity] = now_s
+        identity = frame.message_id
         handler = self._HANDLERS.get(identity)
         if handler is not None:
-            handler(self, message, now_s)
+            fields = frame.fields()
+            if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and profile_of(fields) is not self.profile:
+                return
+            handler(self, fields, now_s)
+        self.heard_at_s = self.message_at_s[identity] = now_s
 
     def watch(self, now_s: float) -> None:
         """Notice silence, and give out texts whose rest never came: call it about once a second."""
@@ -234,7 +235,7 @@ class Vehicle:
             self._accepted_modes = frozenset({mode})
         self.mode = mode
 
-    def _on_heartbeat(self, message: Message, now_s: float) -> None:
+    def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
         self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         self._set_mode(message.custom_mode)
         self._apply(PhaseEvent.HEARD, now_s)
@@ -244,7 +245,7 @@ class Vehicle:
         self._set_mode(message.custom_mode)
         self._judge(now_s)
 
-    def _on_sys_status(self, message: Message, now_s: float) -> None:
+    def _on_sys_status(self, message: SysStatus, now_s: float) -> None:
         self.prearm_ok = bool(message.onboard_control_sensors_health & dialect.MAV_SYS_STATUS_PREARM_CHECK)
         voltage_mv, percent = message.voltage_battery, message.battery_remaining
         self.battery = Battery(
@@ -253,11 +254,11 @@ class Vehicle:
         )
         self._judge(now_s)
 
-    def _on_landed_state(self, message: Message, now_s: float) -> None:
+    def _on_landed_state(self, message: ExtendedSysState, now_s: float) -> None:
         self.landed_state = message.landed_state
         self._judge(now_s)
 
-    def _on_position(self, message: Message, now_s: float) -> None:
+    def _on_position(self, message: LocalPositionNed, now_s: float) -> None:
         position = (message.x, message.y, message.z)
         velocity = (message.vx, message.vy, message.vz)
         if not math.isfinite(sum(position) + sum(velocity)):
@@ -269,7 +270,7 @@ class Vehicle:
         if not self.armed:
             self.ground_ned_m = position
 
-    def _on_attitude(self, message: Message, now_s: float) -> None:
+    def _on_attitude(self, message: Attitude, now_s: float) -> None:
         if math.isfinite(message.yaw):
             self.yaw_rad = message.yaw
 
@@ -295,7 +296,7 @@ class Vehicle:
         if len(self.param_errors) < MOST_PARAMETERS:
             self.param_errors[message.param_id] = ParamError(message.error, now_s)
 
-    _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Message, float], None]]] = MappingProxyType(
+    _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Any, float], None]]] = MappingProxyType(
         {
             dialect.MAVLINK_MSG_ID_HEARTBEAT: _on_heartbeat,
             dialect.MAVLINK_MSG_ID_CURRENT_MODE: _on_current_mode,

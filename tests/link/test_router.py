@@ -139,13 +139,13 @@ def test_profile_phase_and_messages_are_handed_on() -> None:
         seen: list[tuple[int, str, float]] = []
         taps: list[tuple[Direction, bytes, float]] = []
 
-        def on_message(vehicle: Vehicle, message: Message, now_s: float) -> None:
+        def on_frame(vehicle: Vehicle, message: Message, now_s: float) -> None:
             seen.append((vehicle.system_id, message.get_type(), now_s))
 
         def tap(direction: Direction, raw: bytes, now_s: float) -> None:
             taps.append((direction, raw, now_s))
 
-        router = await Router.open({MAIN: [GROUND]}, on_message=on_message, tap=tap)
+        router = await Router.open({MAIN: [GROUND]}, on_frame=on_frame, tap=tap)
         copter, plane = await Fake.start(5, ARDUPILOT), await Fake.start(6, PX4)
         copter.beat(ARDUPILOT.streaming_mode)
         plane.beat()
@@ -303,7 +303,7 @@ def test_the_same_system_id_in_two_networks_is_two_vehicles() -> None:
     async def main() -> None:
         seen: list[VehicleAddress] = []
         endpoints = {"west": [GROUND], "east": [Endpoint(Kind.UDP_IN, "127.0.0.1", PORT + 1)]}
-        router = await Router.open(endpoints, on_message=lambda vehicle, _message, _now_s: seen.append(vehicle.address))
+        router = await Router.open(endpoints, on_frame=lambda vehicle, _message, _now_s: seen.append(vehicle.address))
         west, east = await Fake.start(7, PX4), await Fake.start(7, ARDUPILOT)
         west.beat(PX4.modes["LOITER"])
         await settle()
