@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Endpoint
+from fg_gcs.link.endpoint import Data, Endpoint
 from fg_gcs.link.router import Counters, Direction, Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
@@ -342,16 +342,15 @@ class Director:
         self.result.not_down = tuple(v.address for v in vehicles if v.armed or v.phase is Phase.LOST)
         self.result.vehicles_landed = sum(not v.armed and v.phase is Phase.LANDED for v in vehicles)
 
-    def _tap(self, _direction: Direction, frame: bytes, now_s: float) -> None:
-        self.journal.recorder.frame(frame, now_s)
+    def _tap(self, _direction: Direction, frames: Sequence[Data], now_s: float) -> None:
+        self.journal.recorder.frames(frames, now_s)
 
     def _on_frame(self, vehicle: Vehicle, frame: Frame, now_s: float) -> None:
         """Keep every position sample of the fleet, once its frames are known."""
         if frame.message_id == LOCAL_POSITION_NED and self.fleet is not None:
-            state = self.fleet.state_enu(vehicle)
-            if state is not None:
-                recorder = self.journal.recorder
-                recorder.telemetry.append((recorder.since_start_s(now_s), *vehicle.address, *state))
+            row = self.fleet.telemetry_row(vehicle, self.journal.recorder.since_start_s(now_s))
+            if row is not None:
+                self.journal.recorder.telemetry.append(row)
 
 
 def _places(networks: Mapping[str, tuple[Endpoint, ...]]) -> str:

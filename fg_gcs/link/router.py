@@ -2,19 +2,19 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 from typing import Final, NamedTuple, Self
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
+from fg_gcs.link.endpoint import Address, Change, Data, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import profile_of
 from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Frame, Message, is_known
-from fg_gcs.wire.framing import Sender
+from fg_gcs.wire.framing import Frames, Sender
 from fg_gcs.wire.messages import HEARTBEAT
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
@@ -29,7 +29,7 @@ class Direction(Enum):
     OUT = "out"
 
 
-Tap = Callable[[Direction, bytes, float], None]
+Tap = Callable[[Direction, Sequence[Data], float], None]
 OnFrame = Callable[[Vehicle, Frame, float], None]
 
 
@@ -72,7 +72,7 @@ class Peer:
     codec: Codec = field(default_factory=Codec)
     sender: Sender = field(default_factory=Sender)
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: Data) -> None:
         """Send whole frames to this address."""
         self.wire.send(data, self.address)
 
@@ -106,7 +106,8 @@ class Router:
         Args:
             networks: Where vehicles are to be found, by the name of the network.
             on_frame: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
-            tap: Gets every frame in both directions, unknown ones included, with the loop time [s]: the recorder.
+            tap: Gets all frames of both directions, unknown ones included, together those that pass together, with the
+                loop time [s]: the recorder.
 
         Raises:
             LinkError: A port is taken, or a connection is refused; nothing stays open.
@@ -139,24 +140,31 @@ class Router:
             errors=sum(wire.errors for wire in self._wires),
         )
 
-    def sender(self, address: VehicleAddress) -> Sender:
-        """Return what numbers the frames to this vehicle; for `pack_setpoint`.
+    def senders(self, addresses: Iterable[VehicleAddress]) -> list[Sender]:
+        """Return what numbers the frames to each of these vehicles; for `fg_gcs.wire.setpoint.pack_setpoints`.
 
         Raises:
-            KeyError: The vehicle was never heard.
+            KeyError: One of them was never heard.
         """
-        return self._routes[address].sender
+        return [self._routes[address].sender for address in addresses]
 
-    def send(self, address: VehicleAddress, data: bytes) -> None:
-        """Send a packed frame to one vehicle, once; one that was never heard makes it count as unroutable."""
-        peer = self._routes.get(address)
-        if peer is None:
-            self._unroutable += 1
-            return
-        peer.wire.send(data, peer.address)
-        self._frames_out += 1
-        if self._tap is not None:
-            self._tap(Direction.OUT, data, self._time())
+    def send_all(self, addresses: Iterable[VehicleAddress], frames: Frames) -> None:
+        """Send each vehicle its own frame, once.
+
+        Args:
+            addresses: Of the vehicles; each was heard.
+            frames: Packed by the vehicles' `senders`, shape (V, size).
+
+        Raises:
+            KeyError: One of them was never heard.
+        """
+        size, data = frames.shape[1], memoryview(frames.tobytes())
+        rows = [data[start : start + size] for start in range(0, len(data), size)]
+        for address, row in zip(addresses, rows, strict=True):
+            self._routes[address].send(row)
+        self._frames_out += len(rows)
+        if self._tap is not None and rows:
+            self._tap(Direction.OUT, rows, self._time())
 
     def send_message(self, address: VehicleAddress, message: Message) -> None:
         """Pack a message and send it to one vehicle."""
@@ -164,18 +172,14 @@ class Router:
         if peer is None:
             self._unroutable += 1
         else:
-            self.send(address, peer.sender.pack(message))
+            self._send(peer, message)
 
     def heartbeat(self) -> None:
         """Send our heartbeat once to every address that a vehicle speaks from, and to whom we are to call first."""
         message = commands.heartbeat()
         called = [peer for peer in self._peers.values() if peer.wire.remote is not None]
         for peer in dict.fromkeys([*self._routes.values(), *called]):
-            data = peer.sender.pack(message)
-            peer.send(data)
-            self._frames_out += 1
-            if self._tap is not None:
-                self._tap(Direction.OUT, data, self._time())
+            self._send(peer, message)
 
     async def keep_alive(self, period_s: float = 1.0) -> None:
         """Send heartbeats and notice silent vehicles, for ever: run it as a task.
@@ -192,6 +196,13 @@ class Router:
         """Close all sockets; may be called twice."""
         for wire in self._wires:
             wire.close()
+
+    def _send(self, peer: Peer, message: Message) -> None:
+        data = peer.sender.pack(message)
+        peer.send(data)
+        self._frames_out += 1
+        if self._tap is not None:
+            self._tap(Direction.OUT, (data,), self._time())
 
     def _peer(self, network: str, wire: Wire, address: Address) -> Peer | None:
         key = (id(wire), address)
@@ -211,10 +222,10 @@ class Router:
         peer = self._peer(network, wire, address)
         if peer is None:
             return
-        now_s = self._time()
-        for frame in peer.codec.receive(data):
-            if self._tap is not None:
-                self._tap(Direction.IN, frame.raw, now_s)
+        now_s, frames = self._time(), peer.codec.receive(data)
+        if self._tap is not None and frames:
+            self._tap(Direction.IN, [frame.raw for frame in frames], now_s)
+        for frame in frames:
             if frame.component_id == _AUTOPILOT and is_known(frame):
                 self._dispatch(peer, frame, now_s)
 

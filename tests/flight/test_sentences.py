@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import VehicleError
@@ -17,6 +18,8 @@ from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import PX4
+from fg_gcs.wire.codec import Codec
+from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.texts import Text
 from fg_gcs.wire.vehicle import Battery, Vehicle
@@ -25,9 +28,11 @@ RULES = Rules(Limits(8.0, 4.0), 1.5, Fence((-30.0, -30.0, 2.0), (30.0, 30.0, 30.
 
 
 def fleet(count: int = 5, network: str = MAIN) -> list[Vehicle]:
+    position = dialect.MAVLink_local_position_ned_message(0, 0.0, 0.0, -10.0, 0.0, 0.0, 0.0)
     vehicles = [Vehicle(VehicleAddress(network, number), PX4, 0.0) for number in range(1, count + 1)]
     for vehicle in vehicles:
-        vehicle.position_at_s = 0.0
+        for heard in Codec().receive(Sender(vehicle.system_id, 1).pack(position)):
+            vehicle.handle(heard, 0.0)
         vehicle.phase = Phase.FLYING
     return vehicles
 
