@@ -113,13 +113,15 @@ class Director:
         """What went through the sockets so far."""
         return Counters.none() if self._router is None else self._router.counters
 
-    def wanted_enu_m(self, now_s: float) -> dict[int, Array]:
-        """Return where vehicles are told to be, by the fleet's rows, each of shape (3,) [m; ENU]."""
-        streamer = self.streamer
-        if streamer is None or streamer.motion is None:
-            return {}
-        places = streamer.motion.at(now_s).position_m
-        return {row: place for row, place in zip(streamer.motion.rows, places, strict=True) if streamer.engaged(row)}
+    def wanted_enu_m(self, now_s: float) -> Array:
+        """Return where the vehicles are told to be, shape (V, 3) [m; ENU]; NaN where nothing is streamed."""
+        fleet, streamer = self.fleet, self.streamer
+        wanted = np.full((0 if fleet is None else len(fleet.vehicles), 3), np.nan)
+        if streamer is not None and streamer.motion is not None:
+            engaged = [row for row in streamer.motion.rows if streamer.engaged(row)]
+            places = [place for place, row in enumerate(streamer.motion.rows) if streamer.engaged(row)]
+            wanted[engaged] = streamer.motion.at(now_s).position_m[places]
+        return wanted
 
     async def fly(self) -> FlightResult:
         """Fly the mission; returns with every vehicle that still obeys on the ground.

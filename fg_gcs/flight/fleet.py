@@ -155,23 +155,20 @@ class NotInTime(VehicleError):
         super().__init__(f"{subject} did not {what} within {timeout_s:g} s")
 
 
-async def until(vehicles: Iterable[Vehicle], condition: Callable[[Vehicle], bool], timeout_s: float, what: str) -> None:
-    """Wait until a condition holds for every vehicle.
+async def until(waiting: Callable[[], Sequence[Vehicle]], timeout_s: float, what: str) -> None:
+    """Wait until there is no vehicle to wait for any more.
 
     Args:
-        vehicles: all that are waited for.
-        condition: of one vehicle.
+        waiting: the vehicles that have not done it yet.
         timeout_s: how long to wait [s].
         what: what they are to do, in the words that follow "did not".
 
     Raises:
-        NotInTime: with the vehicles for which it does not hold after ``timeout_s``.
+        NotInTime: with the vehicles that have not done it after ``timeout_s``.
     """
-    watched = tuple(vehicles)
-    start_s = asyncio.get_running_loop().time()
-    async for k, late_s in ticks(start_s, STEP_S):
-        waiting = [vehicle for vehicle in watched if not condition(vehicle)]
-        if not waiting:
+    async for k, late_s in ticks(asyncio.get_running_loop().time(), STEP_S):
+        vehicles = waiting()
+        if not vehicles:
             return
         if k * STEP_S + late_s >= timeout_s:
-            raise NotInTime(waiting, what, timeout_s)
+            raise NotInTime(vehicles, what, timeout_s)
