@@ -18,7 +18,7 @@ from fg_gcs.wire.framing import Frames, Sender
 from fg_gcs.wire.messages import HEARTBEAT
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
-MOST_PEERS: Final = 512  # addresses kept; a flood of made-up senders must not fill the memory
+MOST_PEERS: Final = 2048  # addresses kept, twice a thousand vehicles; a flood of made-up senders fills no memory
 _AUTOPILOT: Final = 1  # component id
 
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import all as dialect
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.link.endpoint import Data, Endpoint, Kind
-from fg_gcs.link.router import Direction, Router
+from fg_gcs.link.router import MOST_PEERS, Direction, Router
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
@@ -287,13 +287,13 @@ def test_a_flood_of_made_up_senders_is_bounded() -> None:
         honest = await Fake.start(1)
         honest.beat()
         await settle()
-        for _ in range(600):
+        for _ in range(MOST_PEERS + 88):
             (await Fake.start(2)).beat()
         await settle()
         honest.beat(PX4.land_mode)
         await settle()
         assert router.vehicles[at(1)].mode == PX4.land_mode
-        assert router.counters.frames_in <= 2 + 511
+        assert router.counters.frames_in <= 2 + MOST_PEERS - 1
         router.close()
 
     virtually(main)
