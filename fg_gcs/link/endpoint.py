@@ -16,6 +16,7 @@ from fg_gcs.wire.address import MAIN
 
 Address = tuple[str, int]
 Data = bytes | memoryview
+Datagram = tuple[Data, Address]  # what to send, and where to
 
 FORMS: Final = "udpin:HOST:PORT (vehicles come to us), udpout:HOST:PORT (we call first) or tcp:HOST:PORT (we connect)"
 FIRST_PAUSE_S: Final = 0.5  # after a connection broke, before it is made again: SITL needs longer to start
@@ -130,9 +131,13 @@ class Wire(ABC):
         self.errors = 0
         self._on_data = on_data
 
-    @abstractmethod
     def send(self, data: Data, address: Address) -> None:
         """Send whole frames to ``address``."""
+        self.send_all(((data, address),))
+
+    @abstractmethod
+    def send_all(self, datagrams: Iterable[Datagram]) -> None:
+        """Send whole frames, to the address of each; what the way out does not take is dropped."""
 
     @abstractmethod
     def close(self) -> None:
@@ -159,17 +164,19 @@ class UdpWire(Wire):
             self.remote = own.getpeername()
         self._loop.add_reader(own, self._receive)
 
-    def send(self, data: Data, address: Address) -> None:
-        """Send one datagram, or drop it if the way out is full."""
-        try:
-            if self.remote is None:
-                self._socket.sendto(data, address)
-            else:
-                self._socket.send(data)
-        except BlockingIOError:
-            self.dropped += 1
-        except OSError as error:  # such as a partner that is not there yet
-            self._failed(error)
+    def send_all(self, datagrams: Iterable[Datagram]) -> None:
+        """Send datagrams."""
+        send, sendto, connected = self._socket.send, self._socket.sendto, self.remote is not None
+        for data, address in datagrams:
+            try:
+                if connected:
+                    send(data)
+                else:
+                    sendto(data, address)
+            except BlockingIOError:
+                self.dropped += 1
+            except OSError as error:  # such as a partner that is not there yet
+                self._failed(error)
 
     def close(self) -> None:
         """Close the socket; may be called twice."""
@@ -212,9 +219,10 @@ class MemoryWire(Wire, asyncio.DatagramProtocol):
         """Hand in a datagram (the network calls this)."""
         self._on_data(self, addr, data)
 
-    def send(self, data: Data, address: Address) -> None:
-        """Send one datagram."""
-        self._transport.sendto(data, address)
+    def send_all(self, datagrams: Iterable[Datagram]) -> None:
+        """Send datagrams."""
+        for data, address in datagrams:
+            self._transport.sendto(data, address)
 
     def close(self) -> None:
         """Close the endpoint."""
@@ -294,13 +302,14 @@ class TcpWire(Wire):
             self.errors += not self._closed
             self._tell(Change.LOST)
 
-    def send(self, data: Data, address: Address) -> None:
+    def send_all(self, datagrams: Iterable[Datagram]) -> None:
         """Send whole frames, unless too much is waiting already or there is no connection now."""
         transport = None if self._stream is None else self._stream.transport
-        if transport is None or transport.is_closing() or transport.get_write_buffer_size() > _TCP_QUEUE_BYTES:
-            self.dropped += 1
-        else:
-            transport.write(data)
+        for data, _ in datagrams:
+            if transport is None or transport.is_closing() or transport.get_write_buffer_size() > _TCP_QUEUE_BYTES:
+                self.dropped += 1
+            else:
+                transport.write(data)
 
     def close(self) -> None:
         """Close the connection, or give up one that is being made; may be called twice."""

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, NamedTuple, Self
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Data, Endpoint, Wire, open_wire
+from fg_gcs.link.endpoint import Address, Change, Data, Datagram, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import profile_of
@@ -71,10 +71,6 @@ class Peer:
     address: Address
     codec: Codec = field(default_factory=Codec)
     sender: Sender = field(default_factory=Sender)
-
-    def send(self, data: Data) -> None:
-        """Send whole frames to this address."""
-        self.wire.send(data, self.address)
 
 
 class Router:
@@ -160,8 +156,12 @@ class Router:
         """
         size, data = frames.shape[1], memoryview(frames.tobytes())
         rows = [data[start : start + size] for start in range(0, len(data), size)]
+        by_wire: dict[Wire, list[Datagram]] = {}
         for address, row in zip(addresses, rows, strict=True):
-            self._routes[address].send(row)
+            peer = self._routes[address]
+            by_wire.setdefault(peer.wire, []).append((row, peer.address))
+        for wire, datagrams in by_wire.items():
+            wire.send_all(datagrams)
         self._frames_out += len(rows)
         if self._tap is not None and rows:
             self._tap(Direction.OUT, rows, self._time())
@@ -199,7 +199,7 @@ class Router:
 
     def _send(self, peer: Peer, message: Message) -> None:
         data = peer.sender.pack(message)
-        peer.send(data)
+        peer.wire.send(data, peer.address)
         self._frames_out += 1
         if self._tap is not None:
             self._tap(Direction.OUT, (data,), self._time())
