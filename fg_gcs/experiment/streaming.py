@@ -104,15 +104,15 @@ class OwnStation:
         station.router = await Router.open(networks, on_frame=log.on_frame, tap=log.tap)
         return station
 
-    async def hear(self, system_ids: Sequence[int]) -> None:
+    async def hear(self, system_ids: Sequence[int], wait_s: float = HEAR_S) -> None:
         """Wait until so many vehicles are known, whatever their ids are, and their frames."""
         router, count, time_s = self.router, len(system_ids), asyncio.get_running_loop().time
         async for k, _ in ticks(time_s(), FLUSH_S):
             heard = [vehicle for vehicle in router.vehicles.values() if vehicle.origin and vehicle.ground_ned_m]
             if len(heard) == count:
                 break
-            if k * FLUSH_S > HEAR_S:
-                raise LinkError(f"{len(heard)} of {count} vehicles are heard within {HEAR_S:g} s")
+            if k * FLUSH_S > wait_s:
+                raise LinkError(f"{len(heard)} of {count} vehicles are heard within {wait_s:g} s")
         self.fleet = self._link_recorder.fleet = Fleet(router, sorted(heard, key=lambda vehicle: vehicle.address))
         self.fleet.learn_frames(None, np.zeros(2))
 

@@ -7,7 +7,6 @@ beside them says what the system takes for it.
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import math
 import socket
 import time
@@ -30,11 +29,11 @@ HEAR_S: Final = 20.0  # heartbeats come once a second
 class GroundStation(Protocol):
     """Hears vehicles, and sends all of them their setpoints."""
 
-    async def hear(self, system_ids: Sequence[int]) -> None:
+    async def hear(self, system_ids: Sequence[int], wait_s: float = HEAR_S) -> None:
         """Wait until all vehicles are known.
 
         Raises:
-            LinkError: some of them are not, within `HEAR_S`.
+            LinkError: some of them are not, within ``wait_s`` [s].
         """
 
     async def send(self, numbers: Numbers) -> None:
@@ -75,15 +74,15 @@ class Mavutil:
         self._master: Any = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}")
         self._system_ids: Sequence[int] = ()
 
-    async def hear(self, system_ids: Sequence[int]) -> None:
+    async def hear(self, system_ids: Sequence[int], wait_s: float = HEAR_S) -> None:
         """Wait until all vehicles are known."""
-        self._system_ids, heard, end_s = system_ids, set[int](), time.monotonic() + HEAR_S
+        self._system_ids, heard, end_s = system_ids, set[int](), time.monotonic() + wait_s
         while heard < set(system_ids):
             message = self._master.recv_msg()
             if message is not None:
                 heard.add(message.get_srcSystem())
             elif time.monotonic() > end_s:
-                raise LinkError(f"mavutil hears {len(heard)} of {len(system_ids)} vehicles within {HEAR_S:g} s")
+                raise LinkError(f"mavutil hears {len(heard)} of {len(system_ids)} vehicles within {wait_s:g} s")
             else:
                 await asyncio.sleep(0.001)
 
@@ -111,11 +110,6 @@ class Mavsdk:
         self._mavsdk = mavsdk
         self._setters: list[Any] = []
 
-    @staticmethod
-    def is_installed() -> bool:
-        """Tell whether there is one; it is needed for nothing but tests and this."""
-        return importlib.util.find_spec("mavsdk") is not None
-
     @classmethod
     async def open(cls, port: int) -> Mavsdk:
         """Listen at a port of the loopback."""
@@ -126,15 +120,15 @@ class Mavsdk:
         await library.add_any_connection(f"udpin://127.0.0.1:{port}")
         return cls(library)
 
-    async def hear(self, system_ids: Sequence[int]) -> None:
+    async def hear(self, system_ids: Sequence[int], wait_s: float = HEAR_S) -> None:
         """Wait until all vehicles are known."""
         from mavsdk.asyncio.plugins.offboard import OffboardAsync
 
         found: dict[int, Any] = {}
-        end_s = time.monotonic() + HEAR_S
+        end_s = time.monotonic() + wait_s
         while found.keys() < set(system_ids):
             if time.monotonic() > end_s:
-                raise LinkError(f"MAVSDK hears {len(found)} of {len(system_ids)} vehicles within {HEAR_S:g} s")
+                raise LinkError(f"MAVSDK hears {len(found)} of {len(system_ids)} vehicles within {wait_s:g} s")
             await asyncio.sleep(0.1)
             for system in await self._mavsdk.get_systems():
                 if await system.has_autopilot():
