@@ -58,6 +58,11 @@ EDGE = (  # where clocks and sockets live
     "fg_gcs/record/write/",  # one writer thread
     "fg_gcs/flight/",
     "fg_gcs/run/",
+    "fg_gcs/experiment/baselines/ground_stations.py",
+    "fg_gcs/experiment/bare_process.py",
+    "fg_gcs/experiment/bare_vehicles.py",
+    "fg_gcs/experiment/stream_bench.py",
+    "fg_gcs/experiment/streaming.py",
     "fg_gcs/console/",
     "sitl_mock/host/server.py",
     "sitl_mock/host/session.py",
@@ -65,13 +70,13 @@ EDGE = (  # where clocks and sockets live
 ADAPTERS = {  # what alone may import what
     "toppra": {"fg_gcs/experiment/baselines/reference_planner.py"},
     "ruckig": {"fg_gcs/track/follow/axes.py"},
-    "mavsdk": {"fg_gcs/link/mavsdk_link.py"},
+    "mavsdk": {"fg_gcs/experiment/baselines/ground_stations.py"},
     "plotly": {"fg_gcs/record/report/"},
     "matplotlib": {"fg_gcs/record/report/plot.py", "fg_gcs/experiment/drawings.py"},
     "rich": {"fg_gcs/console/"},
     "pydantic": {"fg_gcs/mission/"},
     "pydantic_core": {"fg_gcs/mission/"},
-    "pymavlink": {"fg_gcs/wire/", "sitl_mock/protocol/layouts.py"},
+    "pymavlink": {"fg_gcs/wire/", "fg_gcs/experiment/baselines/ground_stations.py", "sitl_mock/protocol/layouts.py"},
     "numba": {"fg_gcs/compiling.py", "sitl_mock/physics/compiling.py"},
 }
 MOST_LINES, MOST_FUNCTION_LINES = 600, 60

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import sys
 import time
@@ -15,8 +16,11 @@ from fg_gcs.errors import MissionError
 from fg_gcs.experiment.bench import PlanBench, bench_plan
 from fg_gcs.experiment.memory_bench import memory_bench
 from fg_gcs.experiment.record_bench import record_bench
+from fg_gcs.experiment.stream_bench import Size, StreamBench, stream_bench
 from fg_gcs.experiment.tables import Column, ResultTable
-from fg_gcs.experiment.track_bench import COLUMNS, TEXT, Size, fly_once, measure
+from fg_gcs.experiment.track_bench import COLUMNS, TEXT, fly_once, measure
+from fg_gcs.experiment.track_bench import Size as TrackSize
+from fg_gcs.link.clock import make_loop
 from fg_gcs.record.write.recorder import plain
 
 
@@ -30,6 +34,8 @@ def run(chosen: argparse.Namespace) -> ExitCode:
     match chosen.what:
         case "track":
             figures = _track(chosen)
+        case "stream":
+            figures = _stream(chosen)
         case "record":
             figures = _memory(chosen.missions) if chosen.hour else _record()
         case _:
@@ -46,7 +52,7 @@ def _plan() -> dict[str, object]:
 
 
 def _track(chosen: argparse.Namespace) -> dict[str, object]:
-    size = Size(chosen.flights, chosen.seed, jobs=chosen.jobs)
+    size = TrackSize(chosen.flights, chosen.seed, jobs=chosen.jobs)
     figures, rows = measure(chosen.missions, size, fly_once, time.perf_counter, tell)
     show(ResultTable("track", "Tracking", TEXT, COLUMNS, rows))
     return figures
@@ -64,6 +70,58 @@ def _record() -> dict[str, object]:
     text = f"A made-up flight of {made.vehicles} vehicles at full rates, {made.flight_s:g} s long."
     show(ResultTable("record", f"Recording {made.vehicles} vehicles at full rates", text, columns, rows))
     return made._asdict() | {"met": met}
+
+
+def _stream(chosen: argparse.Namespace) -> dict[str, object]:
+    size = Size(tuple(sorted(chosen.vehicles)), chosen.many, chosen.seconds / 5.0, chosen.seconds, not chosen.alone)
+    with asyncio.Runner(loop_factory=lambda: make_loop(1.0)) as runner:
+        made = runner.run(stream_bench(tell, size))
+    _show_races(made)
+    _show_streams(made)
+    figures = made.figures()
+    return {
+        **made._asdict(),
+        "setpoints": [row._asdict() | {"ratio": row.ratio} for row in made.setpoints],
+        "streams": [each._asdict() for each in made.streams],
+        "many": made.many._asdict(),
+        "required": [figure._asdict() for figure in figures],
+        "met": all(figure.met for figure in figures),
+    }
+
+
+def _show_races(made: StreamBench) -> None:
+    columns = (
+        *(Column("station"), Column("vehicles", 0), Column("setpoint [us]"), Column("bare sendto [us]")),
+        *(Column("ratio"), Column("right", 0), Column("wrong", 0), Column("remark")),
+    )
+    rows = tuple(
+        (row.station, row.vehicles, row.setpoint_us, row.bare_us, row.ratio, row.right, row.wrong, row.remark)
+        for row in made.setpoints
+    )
+    text = "From array to socket, in turn with a bare loop of sendto; where the setpoints arrived."
+    show(ResultTable("setpoints", "Setpoints", text, columns, rows))
+
+
+def _show_streams(made: StreamBench) -> None:
+    columns = (
+        *(Column("vehicles", 0), Column("rate [Hz]", 0), Column("networks", 0), Column("telemetry [Hz]", 0)),
+        *(Column("of a core [%]", 1), Column("late p99 [ms]"), Column("worst [ms]"), Column("left out", 0)),
+        Column("memory [MB]", 0),
+    )
+    rows = tuple(
+        (
+            *(each.vehicles, each.rate_hz, each.networks, each.position_hz, 100.0 * each.core),
+            *(each.late_p99_ms, each.late_worst_ms, each.late_ticks, each.memory_mb),
+        )
+        for each in (*made.streams, made.many)
+    )
+    show(ResultTable("streams", "Streams, recorded", "Setpoints in real time to bare vehicles.", columns, rows))
+    named = Column("figure"), Column("required"), Column("measured"), Column("met")
+    figures = made.figures()
+    required = tuple(
+        (figure.name, figure.required, figure.measured, "yes" if figure.met else "NO") for figure in figures
+    )
+    show(ResultTable("required", "What is required", "", named, required))
 
 
 def _memory(missions: Path) -> dict[str, object]:

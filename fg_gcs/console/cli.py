@@ -28,11 +28,21 @@ examples:
   fg-gcs bench plan --json                           the planner against the paper's way
   fg-gcs bench track --flights 20 --jobs 2           moving targets and what is required; 20 random flights besides
   fg-gcs bench record                                what recording nine vehicles takes of a core
+  fg-gcs bench stream                                setpoints beside other ground stations and a bare loop
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
 exit codes: 0 done, 1 the flight was aborted, and every vehicle is down, 2 bad input, 3 no vehicle answered,
   4 internal error, 5 ended, but not everything is as it should be:
   recording incomplete, or a vehicle not known to be down
+"""
+
+
+STREAM_EPILOG = """examples:
+  fg-gcs bench stream                                everything; takes some minutes, on a quiet machine
+  fg-gcs bench stream --alone --vehicles 250         ours beside the bare loop, for a swarm of 250
+  fg-gcs bench stream --json --seconds 30            longer, and one JSON object for programs
+
+Vehicles are played by a small process of their own, which sends frames made beforehand and counts what comes.
 """
 
 
@@ -128,7 +138,14 @@ def _add_bench(commands: Commands) -> None:
     plan = whats.add_parser("plan", help="the planner against the paper's way, as ratios side by side in one run")
     track = whats.add_parser("track", help="whole flights after moving targets beside what is required of them")
     record = whats.add_parser("record", help="what recording nine vehicles at full rates takes of a core")
-    for each in (plan, track, record):
+    stream = whats.add_parser(
+        "stream",
+        help="setpoints to up to a thousand vehicles: ours, mavutil, MAVSDK and a bare loop of sendto in one run",
+        epilog=STREAM_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_stream(stream)
+    for each in (plan, track, record, stream):
         each.add_argument("--json", action="store_true", help="print one JSON object, the last line of stdout")
     track.add_argument(
         "--flights", type=_count, default=0, metavar="N", help="fly N random missions besides (default: none)"
@@ -154,6 +171,24 @@ def _add_bench(commands: Commands) -> None:
             metavar="DIR",
             help="mission files (default: %(default)s)",
         )
+
+
+def _add_stream(stream: argparse.ArgumentParser) -> None:
+    stream.add_argument(
+        "--vehicles",
+        type=_jobs,
+        nargs="+",
+        default=[9, 50, 100, 250],
+        metavar="N",
+        help="swarms to measure, of one network (default: 9 50 100 250)",
+    )
+    stream.add_argument(
+        "--many", type=_jobs, default=1000, metavar="N", help="vehicles in four networks (default: %(default)s)"
+    )
+    stream.add_argument(
+        "--seconds", type=_positive, default=10.0, metavar="S", help="of each stream (default: %(default)g s)"
+    )
+    stream.add_argument("--alone", action="store_true", help="leave mavutil and MAVSDK out")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

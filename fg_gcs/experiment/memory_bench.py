@@ -46,7 +46,7 @@ def memory_bench(text: str, hold_s: float = HOUR_S) -> MemoryFigures:
     with TemporaryDirectory(prefix="fg-gcs-bench-") as place:
         options = FlyOptions(autopilot="px4", logs=Path(place), snapshot_hz=1.0 / SAMPLE_S, write_report=False)
         result = fly_blocking(mission, options, [looks], speed=math.inf)
-    peak_mb = _memory_mb("VmHWM")
+    peak_mb = memory_mb("VmHWM")
     if result.error is not None:
         raise result.error
     after = [size_mb for time_s, size_mb in looks.taken if time_s >= SAMPLE_S]
@@ -70,11 +70,11 @@ class _Looks(Observer):
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Look."""
-        self.taken.append((snapshot.time_s, _memory_mb("VmRSS")))
+        self.taken.append((snapshot.time_s, memory_mb("VmRSS")))
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def _memory_mb(key: str) -> float:
+def memory_mb(key: str) -> float:
     """Return the memory that the process has (``VmRSS``), or had at most (``VmHWM``) [MB]."""
     (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(key))
     return 1024e-6 * float(line.split()[1])

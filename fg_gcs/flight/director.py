@@ -14,6 +14,7 @@ from fg_gcs.core.frames import Geodetic, geodetic_from_enu
 from fg_gcs.errors import MissionError, VehicleError
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.sortie import Sortie
@@ -21,14 +22,12 @@ from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint
-from fg_gcs.link.router import Counters, Direction, Router
+from fg_gcs.link.router import Counters, Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
-from fg_gcs.wire.codec import Message
 from fg_gcs.wire.phases import Phase
-from fg_gcs.wire.vehicle import Vehicle
 
 DRAIN_S = 0.2  # how often everything is written down: soon enough for a person to read along, and after a crash
 
@@ -84,6 +83,7 @@ class Director:
         self.in_good_moments: Callable[[float], None] | None = None
         self.mission = mission
         self._router: Router | None = None
+        self._link_recorder = LinkRecorder(recorder)
         self._setup = setup
         self._interrupts: asyncio.Queue[str] = asyncio.Queue()
         self._failure: BaseException | None = None
@@ -112,13 +112,15 @@ class Director:
         """What went through the sockets so far."""
         return Counters.none() if self._router is None else self._router.counters
 
-    def wanted_enu_m(self, now_s: float) -> dict[int, Array]:
-        """Return where vehicles are told to be, by the fleet's rows, each of shape (3,) [m; ENU]."""
-        streamer = self.streamer
-        if streamer is None or streamer.motion is None:
-            return {}
-        places = streamer.motion.at(now_s).position_m
-        return {row: place for row, place in zip(streamer.motion.rows, places, strict=True) if streamer.engaged(row)}
+    def wanted_enu_m(self, now_s: float) -> Array:
+        """Return where the vehicles are told to be, shape (V, 3) [m; ENU]; NaN where nothing is streamed."""
+        fleet, streamer = self.fleet, self.streamer
+        wanted = np.full((0 if fleet is None else len(fleet.vehicles), 3), np.nan)
+        if streamer is not None and streamer.motion is not None:
+            engaged = [row for row in streamer.motion.rows if streamer.engaged(row)]
+            places = [place for place, row in enumerate(streamer.motion.rows) if streamer.engaged(row)]
+            wanted[engaged] = streamer.motion.at(now_s).position_m[places]
+        return wanted
 
     async def fly(self) -> FlightResult:
         """Fly the mission; returns with every vehicle that still obeys on the ground.
@@ -130,7 +132,9 @@ class Director:
         """
         networks = self._setup.networks
         wanted = self._wanted()
-        router = self._router = await Router.open(networks, on_message=self._on_message, tap=self._tap)
+        router = self._router = await Router.open(
+            networks, on_frame=self._link_recorder.on_frame, tap=self._link_recorder.tap
+        )
         self.journal.event("open", f"listening at {_places(networks)}")
         background = [asyncio.create_task(router.keep_alive()), asyncio.create_task(self._drain(router))]
         try:
@@ -217,7 +221,7 @@ class Director:
         setup, count = self._setup, self.mission.swarm.vehicles
         with self.journal.in_stage("connect"):
             found = await discover(router, setup.networks, count, wanted, setup.wait_s)
-            self.fleet = Fleet(router, found)
+            self.fleet = self._link_recorder.fleet = Fleet(router, found)
             self.result.vehicles = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.profile.name for vehicle in found})
             self.journal.event("vehicles", f"{vehicles_named(self.fleet.row_of)} answered ({', '.join(kinds)})")
@@ -340,17 +344,6 @@ class Director:
         self.result.lost = tuple(vehicle.address for vehicle in vehicles if vehicle.phase is Phase.LOST)
         self.result.not_down = tuple(v.address for v in vehicles if v.armed or v.phase is Phase.LOST)
         self.result.vehicles_landed = sum(not v.armed and v.phase is Phase.LANDED for v in vehicles)
-
-    def _tap(self, _direction: Direction, frame: bytes, now_s: float) -> None:
-        self.journal.recorder.frame(frame, now_s)
-
-    def _on_message(self, vehicle: Vehicle, message: Message, now_s: float) -> None:
-        """Keep every position sample of the fleet, once its frames are known."""
-        if message.get_type() == "LOCAL_POSITION_NED" and self.fleet is not None:
-            state = self.fleet.state_enu(vehicle)
-            if state is not None:
-                recorder = self.journal.recorder
-                recorder.telemetry.append((recorder.since_start_s(now_s), *vehicle.address, *state))
 
 
 def _places(networks: Mapping[str, tuple[Endpoint, ...]]) -> str:

@@ -3,30 +3,47 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic_from_enu, rotate_ned_enu, swap_ned_enu
+from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic_from_enu, swap_ned_enu
 from fg_gcs.errors import VehicleError
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
+from fg_gcs.record.write.layouts import TELEMETRY
 from fg_gcs.wire.address import vehicles_named
 from fg_gcs.wire.commands import Dialogue, Request, State
+from fg_gcs.wire.states import StateTable
 from fg_gcs.wire.vehicle import Vehicle
 
 STEP_S = 0.02  # dialogues and conditions are checked this often: faster than any acknowledgement but PX4's first
 
 
 class Fleet:
-    """Row v of every array belongs to ``vehicles[v]``; frames are known after :meth:`learn_frames`."""
+    """Row v of every array belongs to ``vehicles[v]``; frames are known after :meth:`learn_frames`.
+
+    Attributes:
+        vehicles: in ascending order of their addresses.
+        states: where they are and how they move, in their own frames, as telemetry comes.
+        networks: names of their networks as tables have them, shape (V,).
+        system_ids: shape (V,).
+    """
 
     def __init__(self, router: Router, vehicles: Sequence[Vehicle]) -> None:
         """Take the vehicles in ascending order of their addresses."""
         self.router = router
         self.vehicles = tuple(vehicles)
+        self.states = StateTable(len(self.vehicles))
+        for row, vehicle in enumerate(self.vehicles):
+            vehicle.keep_state_in(self.states, row)
         self.row_of = {vehicle.address: row for row, vehicle in enumerate(self.vehicles)}
+        self._names = [TELEMETRY.text("network", vehicle.address.network) for vehicle in self.vehicles]
+        self.networks = np.array(self._names)
+        self.system_ids = np.array([v.address.system_id for v in self.vehicles])
         self.frames: tuple[LocalFrame, ...] = ()
         self._origins_enu_m = np.empty((0, 3))
 
@@ -58,7 +75,7 @@ class Fleet:
 
     def positions_enu_m(self) -> Array:
         """Return where the vehicles are, shape (V, 3) [m; ENU]."""
-        positions: Array = swap_ned_enu(np.array([v.position_ned_m for v in self.vehicles])) + self._origins_enu_m
+        positions: Array = swap_ned_enu(self.states.position_ned_m) + self._origins_enu_m
         return positions
 
     def position_enu_m(self, vehicle: Vehicle) -> tuple[float, float, float] | None:
@@ -68,20 +85,26 @@ class Fleet:
             return None
         return self.frames[row].enu_from_ned(vehicle.position_ned_m)
 
-    def state_enu(self, vehicle: Vehicle) -> tuple[float, ...] | None:
-        """Return a vehicle's newest state as a row of the telemetry table, from the position on; None if unknown."""
-        row = self.row_of.get(vehicle.address)
-        if row is None or not self.frames or vehicle.position_ned_m is None or vehicle.velocity_ned_m_s is None:
-            return None
-        position = self.frames[row].enu_from_ned(vehicle.position_ned_m)
-        velocity = rotate_ned_enu(vehicle.velocity_ned_m_s)
-        yaw_rad = np.nan if vehicle.yaw_rad is None else vehicle.yaw_rad
-        height_m = np.nan if vehicle.height_m is None else vehicle.height_m
-        return (*position, *velocity, yaw_rad, vehicle.boot_time_s, height_m)
+    def telemetry_row(self, vehicle: Vehicle, time_s: float) -> tuple[float | bytes, ...] | None:
+        """Return a vehicle's newest state as a row of the telemetry table; None while it or its frame is not known.
 
-    def ned_from_enu(self, rows: Sequence[int], position_enu_m: Array) -> Array:
+        Args:
+            vehicle: any vehicle.
+            time_s: since the run's start [s].
+        """
+        row = self.row_of.get(vehicle.address)
+        if row is None or not self.frames:
+            return None
+        north, east, down, v_north, v_east, v_down, boot_time_s, _, _, _, ground_down, yaw_rad = self.states[row]
+        if math.isnan(north):
+            return None
+        x, y, z = self.frames[row].origin_enu_m  # as `LocalFrame.enu_from_ned`, of which thousands come in a second
+        place = (x + east, y + north, z - down, v_east, v_north, -v_down)
+        return (time_s, self._names[row], vehicle.system_id, *place, yaw_rad, boot_time_s, ground_down - down)
+
+    def ned_from_enu(self, rows: Sequence[int] | NDArray[np.int_], position_enu_m: Array) -> Array:
         """Return local positions of mission ones for the vehicles at ``rows``, shape (len(rows), 3) [m]."""
-        return swap_ned_enu(position_enu_m - self._origins_enu_m[list(rows)])
+        return swap_ned_enu(position_enu_m - self._origins_enu_m[np.asarray(rows)])
 
     async def ask(self, vehicles: Iterable[Vehicle], script: Callable[[Vehicle], Iterable[Request]]) -> None:
         """Work through each vehicle's requests, one after the other, all vehicles side by side.
@@ -132,23 +155,20 @@ class NotInTime(VehicleError):
         super().__init__(f"{subject} did not {what} within {timeout_s:g} s")
 
 
-async def until(vehicles: Iterable[Vehicle], condition: Callable[[Vehicle], bool], timeout_s: float, what: str) -> None:
-    """Wait until a condition holds for every vehicle.
+async def until(waiting: Callable[[], Sequence[Vehicle]], timeout_s: float, what: str) -> None:
+    """Wait until there is no vehicle to wait for any more.
 
     Args:
-        vehicles: all that are waited for.
-        condition: of one vehicle.
+        waiting: the vehicles that have not done it yet.
         timeout_s: how long to wait [s].
         what: what they are to do, in the words that follow "did not".
 
     Raises:
-        NotInTime: with the vehicles for which it does not hold after ``timeout_s``.
+        NotInTime: with the vehicles that have not done it after ``timeout_s``.
     """
-    watched = tuple(vehicles)
-    start_s = asyncio.get_running_loop().time()
-    async for k, late_s in ticks(start_s, STEP_S):
-        waiting = [vehicle for vehicle in watched if not condition(vehicle)]
-        if not waiting:
+    async for k, late_s in ticks(asyncio.get_running_loop().time(), STEP_S):
+        vehicles = waiting()
+        if not vehicles:
             return
         if k * STEP_S + late_s >= timeout_s:
-            raise NotInTime(waiting, what, timeout_s)
+            raise NotInTime(vehicles, what, timeout_s)

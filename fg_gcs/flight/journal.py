@@ -7,6 +7,8 @@ from contextlib import contextmanager
 
 from fg_gcs.link.router import Router
 from fg_gcs.record.write.recorder import Recorder
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
+from fg_gcs.wire.phases import Phase, PhaseEvent
 from fg_gcs.wire.vehicle import Vehicle
 
 STAGES = ("connect", "prepare", "plan", "take-off", "gather", "approach", "hold", "home", "land")
@@ -51,14 +53,20 @@ class Journal:
             self.recorder.know(stages=dict(self.stages))
 
     def drain(self, router: Router, vehicles: Iterable[Vehicle]) -> None:
-        """Take out and write down what the router and the vehicles have to say."""
+        """Take out and write down what the router and the vehicles have to say, together what many say alike."""
         while router.notices:
             self.event("notice", router.notices.popleft())
+        texts: dict[tuple[str, int], set[VehicleAddress]] = {}
+        changes: dict[tuple[Phase, PhaseEvent, Phase], set[VehicleAddress]] = {}
         for vehicle in vehicles:
             while vehicle.texts:
                 text = vehicle.texts.popleft()
-                self.event("text", f"vehicle {vehicle.address}: {text.text}", severity=text.severity)
+                texts.setdefault((text.text, text.severity), set()).add(vehicle.address)
             while vehicle.changes:
                 change = vehicle.changes.popleft()
-                names = {"phase": change.after.name, "before": change.before.name, "because": change.event.name}
-                self.event("phase", f"vehicle {vehicle.address}: {change.after.value}", **names)
+                changes.setdefault((change.before, change.event, change.after), set()).add(vehicle.address)
+        for (said, severity), addresses in texts.items():
+            self.event("text", f"{vehicles_named(addresses)}: {said}", severity=severity)
+        for (before, event, after), addresses in changes.items():
+            names = {"phase": after.name, "before": before.name, "because": event.name}
+            self.event("phase", f"{vehicles_named(addresses)}: {after.value}", **names)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.plan.trajectory import Sample
@@ -21,6 +22,10 @@ class SwarmSetpoint(NamedTuple):
     velocity_m_s: Array  # [m/s; ENU]
     acceleration_m_s2: Array  # [m/s^2; ENU]
     yaw_rad: Array  # (V,) [rad; clockwise from north]
+
+    def of(self, places: NDArray[np.int_]) -> SwarmSetpoint:
+        """Return the setpoints of some of the vehicles."""
+        return SwarmSetpoint(*(array[places] for array in self))
 
 
 class Headings(NamedTuple):

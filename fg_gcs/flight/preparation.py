@@ -44,9 +44,9 @@ async def discover(
     """
     start_s = asyncio.get_running_loop().time()
     async for k, late_s in ticks(start_s, STEP_S):
-        heard = sorted(set(router.vehicles) & set(wanted)) if wanted else sorted(router.vehicles)
+        heard = [address for address in wanted or router.vehicles if address in router.vehicles]
         if len(heard) >= count:
-            return [router.vehicles[address] for address in heard[:count]]
+            return [router.vehicles[address] for address in sorted(heard)[:count]]
         if k * STEP_S + late_s >= wait_s:
             break
     tried = ", ".join(str(endpoint) for endpoints in networks.values() for endpoint in endpoints)
@@ -75,8 +75,7 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
     await fleet.ask(fleet.vehicles, script)
     try:
         await until(
-            fleet.vehicles,
-            lambda vehicle: vehicle.armed or (vehicle.prearm_ok and vehicle.position_ned_m is not None),
+            lambda: [vehicle for vehicle in fleet.vehicles if not (vehicle.armed or _ready(vehicle))],
             READY_S,
             "become ready to arm",
         )
@@ -87,6 +86,10 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
         raise VehicleError(f"armed already, by another ground station: {vehicles_named(armed)}")
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
     journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")
+
+
+def _ready(vehicle: Vehicle) -> bool:
+    return vehicle.prearm_ok and vehicle.position_ned_m is not None
 
 
 def not_ready(waiting: Sequence[Vehicle]) -> str:

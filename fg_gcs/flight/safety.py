@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.separation import Separation, closest_approach
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.rules import outside, too_close
-from fg_gcs.wire.address import VehicleAddress
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -32,6 +32,15 @@ class Kind(Enum):
     BATTERY = "has a low battery"
 
 
+OF_MANY: dict[Kind, str] = {  # in the words for several vehicles, where they differ
+    Kind.LOST: "are lost: nothing is heard from them",
+    Kind.TAKEN: "are taken over: something else changed their modes",
+    Kind.FENCE: "are outside the fence",
+    Kind.BATTERY: "have low batteries",
+}
+BY_PHASE: dict[Phase, Kind] = {Phase.LOST: Kind.LOST, Phase.TAKEN: Kind.TAKEN, Phase.LANDED: Kind.DISARMED}
+
+
 class Action(Enum):
     """What the flight does about a fault."""
 
@@ -49,46 +58,98 @@ CONSEQUENCES: dict[Kind, Action] = {
 }
 
 
-class Fault(NamedTuple):
-    """Something that is wrong now."""
+class Finding(NamedTuple):
+    """One vehicle, or pair of vehicles, with which something is wrong now."""
 
     kind: Kind
     vehicles: tuple[VehicleAddress, ...]
+    detail: str = ""  # what is told of it beside its kind
+    size_m: float = 0.0  # distance outside the fence, or of the pair
+
+
+class Fault(NamedTuple):
+    """What is wrong in one way, with one vehicle or with many."""
+
+    kind: Kind
+    vehicles: tuple[VehicleAddress, ...]  # ascending
     text: str  # one line for people
 
 
-def faults(vehicles: Sequence[Vehicle], positions_enu_m: Array, rules: Rules, now_s: float) -> list[Fault]:
+def findings(
+    vehicles: Sequence[Vehicle], positions_enu_m: Array, position_at_s: Array, rules: Rules, now_s: float
+) -> list[Finding]:
     """Return what is wrong with vehicles that should be flying a plan.
 
     Args:
         vehicles: the fleet.
         positions_enu_m: where they are, shape (V, 3) [m].
+        position_at_s: when they were there, shape (V,) [s].
         rules: separation and fence.
         now_s: the clock's reading [s].
     """
-    found = []
-    for phase, kind in ((Phase.LOST, Kind.LOST), (Phase.TAKEN, Kind.TAKEN), (Phase.LANDED, Kind.DISARMED)):
-        for vehicle in vehicles:
-            if vehicle.phase is phase:
-                mode = f" ({vehicle.mode_name})" if kind is Kind.TAKEN else ""
-                found.append(Fault(kind, (vehicle.address,), f"vehicle {vehicle.address} {kind.value}{mode}"))
-    for vehicle in vehicles:
-        if vehicle.battery.remaining < BATTERY_LOW:  # never true while unknown
-            found.append(Fault(Kind.BATTERY, (vehicle.address,), f"vehicle {vehicle.address} {Kind.BATTERY.value}"))
-    fresh = [row for row, vehicle in enumerate(vehicles) if now_s - vehicle.position_at_s < STALE_S]
-    if len(fresh) > 1:
-        nearest = closest_approach(positions_enu_m[None, fresh], np.zeros(1))
-        if too_close(nearest.distance_m, rules.separation_m):
-            found.append(_too_close([vehicles[row].address for row in fresh], nearest, rules))
-    for row in fresh:
-        excess_m = float(rules.fence.excess_m(positions_enu_m[row]))
+    found = [
+        Finding(BY_PHASE[vehicle.phase], (vehicle.address,), vehicle.mode_name)
+        for vehicle in vehicles
+        if vehicle.phase in BY_PHASE
+    ]
+    found += [
+        Finding(Kind.BATTERY, (vehicle.address,))
+        for vehicle in vehicles
+        if vehicle.battery.remaining < BATTERY_LOW  # never true while unknown
+    ]
+    fresh = np.flatnonzero(now_s - position_at_s < STALE_S).tolist()
+    places = positions_enu_m[fresh]
+    for (first, second), distance_m in _close_pairs(places, rules.separation_m):
+        pair = vehicles[fresh[first]].address, vehicles[fresh[second]].address
+        found.append(Finding(Kind.SEPARATION, pair, size_m=distance_m))
+    for row, excess_m in zip(fresh, rules.fence.excess_m(places).tolist(), strict=True):
         if outside(excess_m - FENCE_SLACK_M):
-            address = vehicles[row].address
-            found.append(Fault(Kind.FENCE, (address,), f"vehicle {address} {Kind.FENCE.value} by {excess_m:.1f} m"))
+            found.append(Finding(Kind.FENCE, (vehicles[row].address,), size_m=excess_m))
     return found
 
 
-def _too_close(addresses: Sequence[VehicleAddress], nearest: Separation, rules: Rules) -> Fault:
-    first, second = (addresses[index] for index in nearest.pair)
-    text = f"vehicles {first} and {second} are {nearest.distance_m:.2f} m apart (minimum {rules.separation_m:.2f} m)"
-    return Fault(Kind.SEPARATION, (first, second), text)
+def faults(found: Iterable[Finding], rules: Rules) -> list[Fault]:
+    """Return findings of one kind as one fault: a swarm that has one fault gives one line.
+
+    Args:
+        found: see :func:`findings`.
+        rules: separation and fence.
+    """
+    by_kind: dict[Kind, list[Finding]] = {kind: [] for kind in Kind}
+    for finding in found:
+        by_kind[finding.kind].append(finding)
+    return [
+        Fault(kind, tuple(sorted({address for one in of_kind for address in one.vehicles})), _text(of_kind, rules))
+        for kind, of_kind in by_kind.items()
+        if of_kind
+    ]
+
+
+def _close_pairs(places_m: Array, separation_m: float) -> Iterator[tuple[tuple[int, int], float]]:
+    """Yield the pairs that are closer than the minimum, and their distances [m]; places of shape (V, 3), all finite."""
+    if len(places_m) < 2:
+        return
+    pairs = cKDTree(places_m).query_pairs(separation_m, output_type="ndarray")
+    distances_m = np.linalg.norm(places_m[pairs[:, 0]] - places_m[pairs[:, 1]], axis=1)
+    for (first, second), distance_m in sorted(zip(map(tuple, pairs.tolist()), distances_m.tolist(), strict=True)):
+        if too_close(distance_m, separation_m):
+            yield (first, second), distance_m
+
+
+def _text(found: Sequence[Finding], rules: Rules) -> str:
+    """Return the line that tells of findings of one kind."""
+    kind, addresses = found[0].kind, sorted({address for one in found for address in one.vehicles})
+    if kind is Kind.SEPARATION:
+        worst = min(found, key=lambda one: one.size_m)
+        first, second = worst.vehicles
+        text = f"vehicles {first} and {second} are {worst.size_m:.2f} m apart (minimum {rules.separation_m:.2f} m)"
+        others = len(found) - 1
+        pairs = "one other pair" if others == 1 else f"{others} other pairs"
+        return f"{text}; with {pairs} of {vehicles_named(addresses)} it is likewise" if others else text
+    text = f"{vehicles_named(addresses)} {kind.value if len(addresses) == 1 else OF_MANY.get(kind, kind.value)}"
+    match kind:
+        case Kind.TAKEN:
+            return f"{text} ({', '.join(sorted({one.detail for one in found}))})"
+        case Kind.FENCE:
+            return f"{text} by {'' if len(found) == 1 else 'up to '}{max(one.size_m for one in found):.1f} m"
+    return text

@@ -116,10 +116,11 @@ class SnapshotMaker:
         director = self._director
         fleet, plan = director.fleet, director.result.plan
         assert fleet is not None, "asked only when there is one"
-        wanted = {row: vector(place.tolist()) for row, place in director.wanted_enu_m(now_s).items()}
+        wanted = director.wanted_enu_m(now_s).tolist()
         leaders = frozenset() if plan is None else frozenset(plan.rim_of)
         return tuple(
-            self._vehicle(vehicle, now_s, row in leaders, wanted.get(row)) for row, vehicle in enumerate(fleet.vehicles)
+            self._vehicle(vehicle, now_s, row in leaders, vector(wanted[row]))
+            for row, vehicle in enumerate(fleet.vehicles)
         )
 
     def _vehicle(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Collection, Sequence
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from fg_gcs.errors import PlanError, VehicleError
 from fg_gcs.flight.fleet import STEP_S, Fleet, until
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.motions import Brake, Follow, FormationMotion, Motion, Rest
-from fg_gcs.flight.safety import CONSEQUENCES, Action, Kind, faults
+from fg_gcs.flight.safety import CONSEQUENCES, Action, Finding, Kind, faults, findings
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.target_follower import TargetFollower
 from fg_gcs.link.clock import ticks
@@ -141,11 +142,7 @@ class Sortie:
         """Look for faults while plans are flown, and act on each once: run it as a task."""
         async for _ in ticks(self._time(), WATCH_S):
             watched = WATCHED.get(self._journal.stage, frozenset())
-            positions = self._fleet.positions_enu_m()
-            for fault in faults(self._fleet.vehicles, positions, self._task.rules, self._time()):
-                if fault.kind not in watched or (fault.kind, fault.vehicles) in self._known_faults:
-                    continue
-                self._known_faults.add((fault.kind, fault.vehicles))
+            for fault in faults(self._new(watched), self._task.rules):
                 self._journal.event(
                     "fault",
                     fault.text,
@@ -156,6 +153,16 @@ class Sortie:
                     self.streamer.release(self._fleet.row_of[vehicle] for vehicle in fault.vehicles)
                 if CONSEQUENCES[fault.kind] is Action.ABORT:
                     self._abort(fault.text)
+
+    def _new(self, watched: Collection[Kind]) -> list[Finding]:
+        """Return what is wrong now, of some kinds, and was not before."""
+        fleet = self._fleet
+        found = findings(
+            fleet.vehicles, fleet.positions_enu_m(), fleet.states.position_at_s, self._task.rules, self._time()
+        )
+        new = [one for one in found if one.kind in watched and (one.kind, one.vehicles) not in self._known_faults]
+        self._known_faults.update((one.kind, one.vehicles) for one in new)
+        return new
 
     # --- as planned ----------------------------------------------------------------------------------------------
 
@@ -203,20 +210,19 @@ class Sortie:
 
     async def _settle(self, rows: Sequence[int], where: str, timeout_s: float = SETTLE_S) -> None:
         """Wait until the vehicles have arrived where the motion has come to rest."""
-        vehicles = [self._fleet.vehicles[row] for row in rows]
-        await until(vehicles, lambda v: self._error_m(v) < ARRIVED_M, timeout_s, f"arrive at {where}")
+        await until(partial(self._away, rows, ARRIVED_M), timeout_s, f"arrive at {where}")
         with suppress(VehicleError):  # in wind, or with a noisy estimate, none ever stands still
-            await until(vehicles, lambda v: self._error_m(v) < STILL_M, STILL_S, f"come to rest at {where}")
+            await until(partial(self._away, rows, STILL_M), STILL_S, f"come to rest at {where}")
 
-    def _error_m(self, vehicle: Vehicle) -> float:
-        """Return how far a vehicle is from where the present motion wants it [m]."""
-        motion = self.streamer.motion
-        if motion is None or vehicle.position_ned_m is None:
-            return np.inf
-        row = self._fleet.row_of[vehicle.address]
-        wanted = motion.at(self._time()).position_m[list(motion.rows).index(row)]
-        place = self._fleet.frames[row].enu_from_ned(vehicle.position_ned_m)
-        return float(np.linalg.norm(wanted - place))
+    def _away(self, rows: Sequence[int], least_m: float) -> list[Vehicle]:
+        """Return the vehicles that are no closer than that to where the present motion wants them [m]."""
+        motion, fleet = self.streamer.motion, self._fleet
+        if motion is None:
+            return [fleet.vehicles[row] for row in rows]
+        wanted = np.full((len(fleet.vehicles), 3), np.nan)
+        wanted[np.asarray(motion.rows)] = motion.at(self._time()).position_m
+        errors_m = np.linalg.norm(wanted - fleet.positions_enu_m(), axis=1)
+        return [fleet.vehicles[row] for row in rows if not errors_m[row] < least_m]  # NaN: not known
 
     async def _land(self, rows: Sequence[int]) -> None:
         """Land vehicles on the spot, and wait until they are disarmed."""
@@ -227,7 +233,11 @@ class Sortie:
             self.streamer.release(rows)
         highest_m = max((vehicle.height_m or 0.0 for vehicle in vehicles), default=0.0)
         wait_s = LANDING_SPARE_S + highest_m / SINK_M_S
-        await until(vehicles, lambda v: not v.armed or v.phase is Phase.LOST, wait_s, "land and disarm")
+        await until(
+            lambda: [vehicle for vehicle in vehicles if vehicle.armed and vehicle.phase is not Phase.LOST],
+            wait_s,
+            "land and disarm",
+        )
         lost = [vehicle.address for vehicle in vehicles if vehicle.phase is Phase.LOST]
         if lost:
             raise VehicleError(f"lost while landing: {vehicles_named(lost)}")

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fg_gcs.core.frames import swap_ned_enu
 from fg_gcs.flight.fleet import Fleet
@@ -17,7 +18,8 @@ from fg_gcs.flight.motions import Motion, SwarmSetpoint
 from fg_gcs.flight.yaw_limiter import YawRateLimiter
 from fg_gcs.link.clock import ticks
 from fg_gcs.record.write.recorder import Recorder
-from fg_gcs.wire.setpoint import Setpoint, pack_setpoint
+from fg_gcs.wire.address import vehicles_named
+from fg_gcs.wire.setpoint import LARGEST, NUMBERS, pack_setpoints, sendable
 
 REMEMBERED = 100  # rounds of setpoints: a second or two of them, more than is ever asked for
 
@@ -28,6 +30,7 @@ class Streamer:
     Attributes:
         motion: what is streamed; None: nothing.
         late_ticks: rounds that were skipped because the loop was busy.
+        refused: setpoints that were not sent because of their numbers; those of the other vehicles were.
         after_round: called with the loop's time [s] after each round of setpoints; must not raise.
         period_s: between two rounds [s].
     """
@@ -36,12 +39,14 @@ class Streamer:
         """Stream at ``rate_hz`` [Hz] as soon as there is a motion and a vehicle is engaged."""
         self.motion: Motion | None = None
         self.late_ticks = 0
+        self.refused = 0
         self.after_round: Callable[[float], None] | None = None
         self._fleet = fleet
         self._recorder = recorder
         self.period_s = 1.0 / rate_hz
         self._yaw_limiter: YawRateLimiter | None = None  # of the present motion, if it asks for one
-        self._engaged = [False] * len(fleet.vehicles)
+        self._engaged = np.zeros(len(fleet.vehicles), dtype=bool)
+        self._told: set[int] = set()  # rows of vehicles whose refused setpoints people know of
         self._sent = asyncio.Event()
         self._due_s = -np.inf
         self._rounds_s: deque[float] = deque(maxlen=REMEMBERED)  # when the last ones had left
@@ -54,21 +59,19 @@ class Streamer:
     @property
     def streams(self) -> bool:
         """Whether setpoints are sent to any vehicle."""
-        return self.motion is not None and any(self._engaged)
+        return self.motion is not None and bool(self._engaged.any())
 
     def engaged(self, row: int) -> bool:
         """Tell whether this vehicle gets setpoints."""
-        return self._engaged[row]
+        return bool(self._engaged[row])
 
     def engage(self, rows: Iterable[int]) -> None:
         """Send setpoints to these vehicles from the next tick on."""
-        for row in rows:
-            self._engaged[row] = True
+        self._engaged[list(rows)] = True
 
     def release(self, rows: Iterable[int]) -> None:
         """Send these vehicles no more setpoints."""
-        for row in rows:
-            self._engaged[row] = False
+        self._engaged[list(rows)] = False
 
     def left_after(self, time_s: float) -> float | None:
         """Return when the first round of setpoints after a loop time had left [s]; None if none has yet."""
@@ -81,7 +84,7 @@ class Streamer:
 
     def send_now(self) -> None:
         """Send a round of setpoints between two: for news that would wait too long for the next."""
-        if self.motion is not None and any(self._engaged):
+        if self.motion is not None and self._engaged.any():
             self._send(self.motion, asyncio.get_running_loop().time())
 
     async def run(self) -> None:
@@ -89,7 +92,7 @@ class Streamer:
         loop = asyncio.get_running_loop()
         start_s, last = loop.time(), -1
         async for k, late_s in ticks(start_s, self.period_s):
-            if self.motion is not None and any(self._engaged):
+            if self.motion is not None and self._engaged.any():
                 self.late_ticks += k - last - 1 if last >= 0 else 0
                 last = k
                 now_s = loop.time()
@@ -102,22 +105,44 @@ class Streamer:
                     self.after_round(now_s)
 
     def _send(self, motion: Motion, now_s: float) -> None:
-        rows = motion.rows
+        fleet, rows = self._fleet, np.asarray(motion.rows)
         wanted = self._turned(motion, motion.at(now_s), now_s)
-        time_s = self._recorder.since_start_s(now_s)
-        positions = self._fleet.ned_from_enu(rows, wanted.position_m).tolist()
-        velocities = swap_ned_enu(wanted.velocity_m_s).tolist()
-        accelerations = swap_ned_enu(wanted.acceleration_m_s2).tolist()
-        headings = wanted.yaw_rad.tolist()
-        router, record = self._fleet.router, self._recorder.setpoints.append
-        table = np.concatenate((wanted.position_m, wanted.velocity_m_s, wanted.acceleration_m_s2), axis=1).tolist()
-        for index, row in enumerate(rows):
-            if self._engaged[row]:
-                address = self._fleet.vehicles[row].address
-                setpoint = Setpoint(positions[index], velocities[index], accelerations[index], headings[index])
-                router.send(address, pack_setpoint(setpoint, address.system_id, router.sender(address)))
-                record((time_s, *address, *table[index], headings[index]))
+        numbers = np.empty((len(rows), NUMBERS))
+        numbers[:, 0:3] = fleet.ned_from_enu(rows, wanted.position_m)
+        numbers[:, 3:6] = swap_ned_enu(wanted.velocity_m_s)
+        numbers[:, 6:9] = swap_ned_enu(wanted.acceleration_m_s2)
+        numbers[:, 9] = wanted.yaw_rad
+        engaged, safe = self._engaged[rows], sendable(numbers)
+        if not safe.all():
+            self._refuse(rows[engaged & ~safe].tolist(), now_s)
+        chosen = np.flatnonzero(engaged & safe)
+        sent = rows[chosen]
+        addresses = [fleet.vehicles[row].address for row in sent.tolist()]
+        frames = pack_setpoints(numbers[chosen], fleet.system_ids[sent], fleet.router.senders(addresses))
+        fleet.router.send_all(addresses, frames)
         self._rounds_s.append(asyncio.get_running_loop().time())
+        self._record(sent, wanted.of(chosen), now_s)
+
+    def _record(self, sent: NDArray[np.int_], wanted: SwarmSetpoint, now_s: float) -> None:
+        """Write down what left at the vehicles of some rows."""
+        recorder = self._recorder
+        table = recorder.setpoints.rows(len(sent))
+        table["time_s"] = recorder.since_start_s(now_s)
+        table["network"] = self._fleet.networks[sent]
+        table["system_id"] = self._fleet.system_ids[sent]
+        table["position_enu_m"], table["velocity_enu_m_s"] = wanted.position_m, wanted.velocity_m_s
+        table["acceleration_enu_m_s2"], table["yaw_rad"] = wanted.acceleration_m_s2, wanted.yaw_rad
+        recorder.setpoints.extend(table)
+
+    def _refuse(self, rows: Sequence[int], now_s: float) -> None:
+        """Count setpoints that must not leave, and tell of each vehicle's first."""
+        self.refused += len(rows)
+        new = [row for row in rows if row not in self._told]
+        if new:
+            self._told.update(new)
+            subject = vehicles_named(self._fleet.vehicles[row].address for row in new)
+            text = f"setpoints of {subject} are not finite or beyond {LARGEST:g} and are not sent; the others are"
+            self._recorder.event(now_s, "warning", text)
 
     def _turned(self, motion: Motion, wanted: SwarmSetpoint, now_s: float) -> SwarmSetpoint:
         """Return what is wanted with the headings that may be sent; each call counts as sent."""

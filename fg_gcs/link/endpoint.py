@@ -11,9 +11,12 @@ from enum import Enum
 from typing import Final, cast
 
 from fg_gcs.errors import LinkError
+from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.wire.address import MAIN
 
 Address = tuple[str, int]
+Data = bytes | memoryview
+Datagram = tuple[Data, Address]  # what to send, and where to
 
 FORMS: Final = "udpin:HOST:PORT (vehicles come to us), udpout:HOST:PORT (we call first) or tcp:HOST:PORT (we connect)"
 FIRST_PAUSE_S: Final = 0.5  # after a connection broke, before it is made again: SITL needs longer to start
@@ -25,7 +28,9 @@ _PATTERN: Final = re.compile(r"(?P<kind>[a-z]+):(?://)?(?:(?P<host>[^:/\s]*):)?(
 _NETWORK: Final = re.compile(r"\s*(?P<name>[^=]*?)\s*=(?P<endpoint>.*)", re.DOTALL)
 _NETWORK_NAME: Final = re.compile(r"[a-z0-9_-]{1,16}")
 _LOCAL: Final = "127.0.0.1"
-_RECEIVE_BYTES: Final = 4 << 20  # nine vehicles send 3,300 datagrams a second; a planner may block the loop for one
+_BUFFER_BYTES: Final = 4 << 20  # nine vehicles send 3,300 datagrams a second; a planner may block the loop for one
+_MOST_DATAGRAM_BYTES: Final = 65536  # no datagram is longer
+_MOST_AT_ONCE: Final = 64  # datagrams read before the loop looks at its timers: half a millisecond of work
 _TCP_QUEUE_BYTES: Final = 64 << 10  # a second of setpoints to 20 vehicles; older ones are worth nothing
 
 
@@ -126,54 +131,101 @@ class Wire(ABC):
         self.errors = 0
         self._on_data = on_data
 
-    @abstractmethod
-    def send(self, data: bytes, address: Address) -> None:
+    def send(self, data: Data, address: Address) -> None:
         """Send whole frames to ``address``."""
+        self.send_all(((data, address),))
+
+    @abstractmethod
+    def send_all(self, datagrams: Iterable[Datagram]) -> None:
+        """Send whole frames, to the address of each; what the way out does not take is dropped."""
 
     @abstractmethod
     def close(self) -> None:
         """Close it."""
 
 
-class UdpWire(Wire, asyncio.DatagramProtocol):
-    """A UDP socket; connected to its partner for ``udpout``."""
+class UdpWire(Wire):
+    """A UDP socket; connected to its partner for ``udpout``.
 
-    _transport: asyncio.DatagramTransport
-    _full = False
+    The socket is our own and not one of asyncio's transports: those hand in one datagram for each round of the loop,
+    and queue what the system does not take, while an old setpoint is worth nothing.
 
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the transport (asyncio calls this)."""
-        self._transport = cast("asyncio.DatagramTransport", transport)  # not a subclass of it before Python 3.12
-        self.remote = transport.get_extra_info("peername")
-        own_socket = transport.get_extra_info("socket")
-        if own_socket is not None:
-            own_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
+    Args:
+        endpoint: What it was opened for.
+        on_data: Gets the wire, the sender's address and the bytes.
+        own: Open, and not blocking; the wire closes it.
+    """
 
-    def datagram_received(self, data: bytes, addr: Address) -> None:
-        """Hand in a datagram (asyncio calls this)."""
-        self._on_data(self, addr, data)
+    def __init__(self, endpoint: Endpoint, on_data: OnData, own: socket.socket) -> None:
+        super().__init__(endpoint, on_data)
+        self._socket = own
+        self._loop = asyncio.get_running_loop()
+        if endpoint.kind is Kind.UDP_OUT:
+            self.remote = own.getpeername()
+        self._loop.add_reader(own, self._receive)
 
-    def error_received(self, exc: Exception) -> None:
-        """Count what the system reports, such as a partner that is not there yet (asyncio calls this)."""
-        self.errors += 1
-
-    def pause_writing(self) -> None:
-        """Drop from now on (asyncio calls this)."""
-        self._full = True
-
-    def resume_writing(self) -> None:
-        """Send again (asyncio calls this)."""
-        self._full = False
-
-    def send(self, data: bytes, address: Address) -> None:
-        """Send one datagram."""
-        if self._full:
-            self.dropped += 1
-        else:
-            self._transport.sendto(data, None if self.remote else address)
+    def send_all(self, datagrams: Iterable[Datagram]) -> None:
+        """Send datagrams."""
+        send, sendto, connected = self._socket.send, self._socket.sendto, self.remote is not None
+        for data, address in datagrams:
+            try:
+                if connected:
+                    send(data)
+                else:
+                    sendto(data, address)
+            except BlockingIOError:
+                self.dropped += 1
+            except OSError as error:  # such as a partner that is not there yet
+                self._failed(error)
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the socket; may be called twice."""
+        if self._socket.fileno() >= 0:
+            self._loop.remove_reader(self._socket)
+            self._socket.close()
+
+    def _receive(self) -> None:
+        """Hand in what waits (the loop calls this)."""
+        receive, hand_in = self._socket.recvfrom, self._on_data
+        try:
+            for _ in range(_MOST_AT_ONCE):
+                data, address = receive(_MOST_DATAGRAM_BYTES)
+                hand_in(self, address, data)
+                if self._socket.fileno() < 0:  # closed by what came
+                    return
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._failed(error)
+
+    def _failed(self, error: OSError) -> None:
+        if error.errno == errno.ENOBUFS:
+            self.dropped += 1
+        else:
+            self.errors += 1
+
+
+class MemoryWire(Wire, asyncio.DatagramProtocol):
+    """An endpoint of the network of virtual time."""
+
+    _transport: asyncio.DatagramTransport
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take the transport (the network calls this)."""
+        self._transport = cast("asyncio.DatagramTransport", transport)
+        self.remote = transport.get_extra_info("peername")
+
+    def datagram_received(self, data: bytes, addr: Address) -> None:
+        """Hand in a datagram (the network calls this)."""
+        self._on_data(self, addr, data)
+
+    def send_all(self, datagrams: Iterable[Datagram]) -> None:
+        """Send datagrams."""
+        for data, address in datagrams:
+            self._transport.sendto(data, address)
+
+    def close(self) -> None:
+        """Close the endpoint."""
         self._transport.close()
 
 
@@ -250,13 +302,14 @@ class TcpWire(Wire):
             self.errors += not self._closed
             self._tell(Change.LOST)
 
-    def send(self, data: bytes, address: Address) -> None:
+    def send_all(self, datagrams: Iterable[Datagram]) -> None:
         """Send whole frames, unless too much is waiting already or there is no connection now."""
         transport = None if self._stream is None else self._stream.transport
-        if transport is None or transport.is_closing() or transport.get_write_buffer_size() > _TCP_QUEUE_BYTES:
-            self.dropped += 1
-        else:
-            transport.write(data)
+        for data, _ in datagrams:
+            if transport is None or transport.is_closing() or transport.get_write_buffer_size() > _TCP_QUEUE_BYTES:
+                self.dropped += 1
+            else:
+                transport.write(data)
 
     def close(self) -> None:
         """Close the connection, or give up one that is being made; may be called twice."""
@@ -312,15 +365,17 @@ async def open_wire(endpoint: Endpoint, on_data: OnData, on_change: OnChange | N
         LinkError: The port is taken, the connection is refused, or no host has that name.
     """
     loop = asyncio.get_running_loop()
-    address = (endpoint.host, endpoint.port)
     try:
         if endpoint.kind is Kind.TCP:
             wire = TcpWire(endpoint, on_data, on_change)
             await wire.open()
             return wire
+        if not isinstance(loop, VirtualTimeLoop):
+            return UdpWire(endpoint, on_data, await _udp_socket(endpoint))
+        address = (endpoint.host, endpoint.port)
         local, remote = (address, None) if endpoint.kind is Kind.UDP_IN else (None, address)
         made = await loop.create_datagram_endpoint(
-            lambda: UdpWire(endpoint, on_data), local_addr=local, remote_addr=remote
+            lambda: MemoryWire(endpoint, on_data), local_addr=local, remote_addr=remote
         )
         return made[1]
     except OSError as error:
@@ -329,3 +384,33 @@ async def open_wire(endpoint: Endpoint, on_data: OnData, on_change: OnChange | N
         raise LinkError(f"{endpoint}: {error.strerror or error}") from error
     except UnicodeError as error:  # what the system's own encoding of host names refuses
         raise LinkError(f"{endpoint}: there is no host called {endpoint.host!r}") from error
+
+
+async def _udp_socket(endpoint: Endpoint) -> socket.socket:
+    """Return a socket that is bound, or connected, to an endpoint.
+
+    Raises:
+        OSError: It cannot be, by any of the addresses that the host has.
+    """
+    found = await asyncio.get_running_loop().getaddrinfo(endpoint.host, endpoint.port, type=socket.SOCK_DGRAM)
+    refusal = OSError(errno.EADDRNOTAVAIL, "the host has no address")
+    for family, kind, protocol, _, address in found:
+        try:
+            own = socket.socket(family, kind, protocol)
+        except OSError as error:
+            refusal = error
+            continue
+        try:
+            own.setblocking(False)
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+            if endpoint.kind is Kind.UDP_IN:
+                own.bind(address)
+            else:
+                own.connect(address)
+        except OSError as error:
+            own.close()
+            refusal = error
+        else:
+            return own
+    raise refusal

@@ -22,7 +22,8 @@ class MemoryNetwork:
         self._loop = loop
         self._latency_s = latency_s
         self._endpoints: dict[Address, MemoryTransport] = {}
-        self._under_way: deque[tuple[bytes, Address, Address]] = deque()
+        self._under_way: deque[tuple[float, bytes, Address, Address]] = deque()  # by the times when they arrive
+        self._is_timed = False  # a timer is set for the first of them
 
     def open(
         self, protocol: asyncio.DatagramProtocol, local: Address | None, remote: Address | None
@@ -49,15 +50,25 @@ class MemoryNetwork:
 
     def send(self, data: bytes, source: Address, target: Address) -> None:
         """Deliver later; if there is no endpoint by then, the datagram is lost."""
-        # The queue keeps the order: two timers of the same instant may fire in any.
-        self._under_way.append((data, source, target))
-        self._loop.call_later(self._latency_s, self._deliver)
+        due_s = self._loop.time() + self._latency_s
+        self._under_way.append((due_s, data, source, target))
+        if not self._is_timed:
+            self._is_timed = True
+            self._loop.call_at(due_s, self._deliver)
 
     def _deliver(self) -> None:
-        data, source, target = self._under_way.popleft()
-        endpoint = self._endpoints.get(target)
-        if endpoint is not None:
-            endpoint.deliver(data, source)
+        """Deliver all that is due: one timer for all datagrams of one instant, because timers cost more than they."""
+        under_way, endpoints, due_s = self._under_way, self._endpoints, self._under_way[0][0]
+        try:
+            while under_way and under_way[0][0] <= due_s:
+                _, data, source, target = under_way.popleft()
+                endpoint = endpoints.get(target)
+                if endpoint is not None:
+                    endpoint.deliver(data, source)
+        finally:  # whatever a receiver raises is told by the loop, and the others get theirs
+            self._is_timed = bool(under_way)
+            if under_way:
+                self._loop.call_at(under_way[0][0], self._deliver)
 
 
 class MemoryTransport(asyncio.DatagramTransport):

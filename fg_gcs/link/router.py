@@ -2,22 +2,23 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 from typing import Final, NamedTuple, Self
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
+from fg_gcs.link.endpoint import Address, Change, Data, Datagram, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import profile_of
-from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Message, is_known
-from fg_gcs.wire.framing import Sender
+from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Frame, Message, is_known
+from fg_gcs.wire.framing import Frames, Sender
+from fg_gcs.wire.messages import HEARTBEAT
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
-MOST_PEERS: Final = 512  # addresses kept; a flood of made-up senders must not fill the memory
+MOST_PEERS: Final = 2048  # addresses kept, twice a thousand vehicles; a flood of made-up senders fills no memory
 _AUTOPILOT: Final = 1  # component id
 
 
@@ -28,8 +29,8 @@ class Direction(Enum):
     OUT = "out"
 
 
-Tap = Callable[[Direction, bytes, float], None]
-OnMessage = Callable[[Vehicle, Message, float], None]
+Tap = Callable[[Direction, Sequence[Data], float], None]
+OnFrame = Callable[[Vehicle, Frame, float], None]
 
 
 class Counters(NamedTuple):
@@ -71,10 +72,6 @@ class Peer:
     codec: Codec = field(default_factory=Codec)
     sender: Sender = field(default_factory=Sender)
 
-    def send(self, data: bytes) -> None:
-        """Send whole frames to this address."""
-        self.wire.send(data, self.address)
-
 
 class Router:
     """Owns the sockets, learns where each vehicle is, and keeps its state; open one with `Router.open`.
@@ -84,10 +81,10 @@ class Router:
         notices: Lines for people, such as a lost connection, or two vehicles with one address (said once).
     """
 
-    def __init__(self, time: Callable[[], float], on_message: OnMessage | None, tap: Tap | None) -> None:
+    def __init__(self, time: Callable[[], float], on_frame: OnFrame | None, tap: Tap | None) -> None:
         self.vehicles: dict[VehicleAddress, Vehicle] = {}
         self.notices: deque[str] = deque(maxlen=64)
-        self._on_message = on_message
+        self._on_frame = on_frame
         self._tap = tap
         self._wires: list[Wire] = []
         self._peers: dict[tuple[int, Address], Peer] = {}  # by wire (its id) and address
@@ -98,19 +95,20 @@ class Router:
 
     @classmethod
     async def open(
-        cls, networks: Mapping[str, Iterable[Endpoint]], *, on_message: OnMessage | None = None, tap: Tap | None = None
+        cls, networks: Mapping[str, Iterable[Endpoint]], *, on_frame: OnFrame | None = None, tap: Tap | None = None
     ) -> Self:
         """Open all endpoints of all networks.
 
         Args:
             networks: Where vehicles are to be found, by the name of the network.
-            on_message: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
-            tap: Gets every frame in both directions, unknown ones included, with the loop time [s]: the recorder.
+            on_frame: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
+            tap: Gets all frames of both directions, unknown ones included, together those that pass together, with the
+                loop time [s]: the recorder.
 
         Raises:
             LinkError: A port is taken, or a connection is refused; nothing stays open.
         """
-        router = cls(asyncio.get_running_loop().time, on_message, tap)
+        router = cls(asyncio.get_running_loop().time, on_frame, tap)
         try:
             for network, endpoints in networks.items():
                 for endpoint in endpoints:
@@ -138,24 +136,35 @@ class Router:
             errors=sum(wire.errors for wire in self._wires),
         )
 
-    def sender(self, address: VehicleAddress) -> Sender:
-        """Return what numbers the frames to this vehicle; for `pack_setpoint`.
+    def senders(self, addresses: Iterable[VehicleAddress]) -> list[Sender]:
+        """Return what numbers the frames to each of these vehicles; for `fg_gcs.wire.setpoint.pack_setpoints`.
 
         Raises:
-            KeyError: The vehicle was never heard.
+            KeyError: One of them was never heard.
         """
-        return self._routes[address].sender
+        return [self._routes[address].sender for address in addresses]
 
-    def send(self, address: VehicleAddress, data: bytes) -> None:
-        """Send a packed frame to one vehicle, once; one that was never heard makes it count as unroutable."""
-        peer = self._routes.get(address)
-        if peer is None:
-            self._unroutable += 1
-            return
-        peer.wire.send(data, peer.address)
-        self._frames_out += 1
-        if self._tap is not None:
-            self._tap(Direction.OUT, data, self._time())
+    def send_all(self, addresses: Iterable[VehicleAddress], frames: Frames) -> None:
+        """Send each vehicle its own frame, once.
+
+        Args:
+            addresses: Of the vehicles; each was heard.
+            frames: Packed by the vehicles' `senders`, shape (V, size).
+
+        Raises:
+            KeyError: One of them was never heard.
+        """
+        size, data = frames.shape[1], memoryview(frames.tobytes())
+        rows = [data[start : start + size] for start in range(0, len(data), size)]
+        by_wire: dict[Wire, list[Datagram]] = {}
+        for address, row in zip(addresses, rows, strict=True):
+            peer = self._routes[address]
+            by_wire.setdefault(peer.wire, []).append((row, peer.address))
+        for wire, datagrams in by_wire.items():
+            wire.send_all(datagrams)
+        self._frames_out += len(rows)
+        if self._tap is not None and rows:
+            self._tap(Direction.OUT, rows, self._time())
 
     def send_message(self, address: VehicleAddress, message: Message) -> None:
         """Pack a message and send it to one vehicle."""
@@ -163,18 +172,14 @@ class Router:
         if peer is None:
             self._unroutable += 1
         else:
-            self.send(address, peer.sender.pack(message))
+            self._send(peer, message)
 
     def heartbeat(self) -> None:
         """Send our heartbeat once to every address that a vehicle speaks from, and to whom we are to call first."""
         message = commands.heartbeat()
         called = [peer for peer in self._peers.values() if peer.wire.remote is not None]
         for peer in dict.fromkeys([*self._routes.values(), *called]):
-            data = peer.sender.pack(message)
-            peer.send(data)
-            self._frames_out += 1
-            if self._tap is not None:
-                self._tap(Direction.OUT, data, self._time())
+            self._send(peer, message)
 
     async def keep_alive(self, period_s: float = 1.0) -> None:
         """Send heartbeats and notice silent vehicles, for ever: run it as a task.
@@ -191,6 +196,13 @@ class Router:
         """Close all sockets; may be called twice."""
         for wire in self._wires:
             wire.close()
+
+    def _send(self, peer: Peer, message: Message) -> None:
+        data = peer.sender.pack(message)
+        peer.wire.send(data, peer.address)
+        self._frames_out += 1
+        if self._tap is not None:
+            self._tap(Direction.OUT, (data,), self._time())
 
     def _peer(self, network: str, wire: Wire, address: Address) -> Peer | None:
         key = (id(wire), address)
@@ -210,37 +222,34 @@ class Router:
         peer = self._peer(network, wire, address)
         if peer is None:
             return
-        now_s = self._time()
-        for message in peer.codec.receive(data):
-            if self._tap is not None:
-                self._tap(Direction.IN, bytes(message.get_msgbuf()), now_s)
-            if is_known(message):
-                self._dispatch(peer, message, now_s)
+        now_s, frames = self._time(), peer.codec.receive(data)
+        if self._tap is not None and frames:
+            self._tap(Direction.IN, [frame.raw for frame in frames], now_s)
+        for frame in frames:
+            if frame.component_id == _AUTOPILOT and is_known(frame):
+                self._dispatch(peer, frame, now_s)
 
-    def _dispatch(self, peer: Peer, message: Message, now_s: float) -> None:
-        """Give a message to its vehicle; a heartbeat of an autopilot makes one."""
-        system_id = message.get_srcSystem()
-        if message.get_srcComponent() != _AUTOPILOT:
-            return
-        address = VehicleAddress(peer.network, system_id)
+    def _dispatch(self, peer: Peer, frame: Frame, now_s: float) -> None:
+        """Give an autopilot's message to its vehicle; a heartbeat makes one."""
+        address = VehicleAddress(peer.network, frame.system_id)
         vehicle = self.vehicles.get(address)
         if vehicle is None:
-            if system_id in (0, GCS_SYSTEM) or message.get_type() != "HEARTBEAT":
+            if frame.system_id in (0, GCS_SYSTEM) or frame.message_id != HEARTBEAT:
                 return
-            profile = profile_of(message)
+            profile = profile_of(frame.fields())
             if profile is None:
                 return
             vehicle = self.vehicles[address] = Vehicle(address, profile, now_s)
             self._routes[address] = peer
-        elif self._routes[address] is not peer and not self._moved(vehicle, peer, message, now_s):
+        elif self._routes[address] is not peer and not self._moved(vehicle, peer, frame, now_s):
             return
-        vehicle.handle(message, now_s)
-        if self._on_message is not None:
-            self._on_message(vehicle, message, now_s)
+        vehicle.handle(frame, now_s)
+        if self._on_frame is not None:
+            self._on_frame(vehicle, frame, now_s)
 
-    def _moved(self, vehicle: Vehicle, peer: Peer, message: Message, now_s: float) -> bool:
+    def _moved(self, vehicle: Vehicle, peer: Peer, frame: Frame, now_s: float) -> bool:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
-        if now_s - vehicle.heard_at_s > LOST_AFTER_S and message.get_type() == "HEARTBEAT":
+        if now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT:
             self._routes[vehicle.address] = peer
             return True
         self._clashes += 1

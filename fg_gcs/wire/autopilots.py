@@ -12,6 +12,7 @@ from typing import Final
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire.codec import Message
+from fg_gcs.wire.messages import Heartbeat
 from fg_gcs.wire.params import Encoding
 
 _QUIET_HZ: Final = -1.0  # negative rate: switch the stream off
@@ -113,7 +114,7 @@ class AutopilotProfile:
         return tuple(Stream(_message_id(name), name, rate_hz, name in _NEEDED) for name, rate_hz in rates.items())
 
 
-def profile_of(heartbeat: Message) -> AutopilotProfile | None:
+def profile_of(heartbeat: Message | Heartbeat) -> AutopilotProfile | None:
     """Return the profile of the autopilot that sent this HEARTBEAT; None for anything but a known autopilot."""
     if heartbeat.type == dialect.MAV_TYPE_GCS:
         return None

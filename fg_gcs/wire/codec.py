@@ -1,23 +1,43 @@
 """MAVLink bytes to messages and back, for one peer address; knows no socket and no clock.
 
-The frame boundaries are found here and not by pymavlink's own stream parser: after a false start byte that parser
+Frames are cut out and checked here and not by pymavlink's own stream parser: after a false start byte that parser
 swallows up to 280 bytes, and with them whole good frames. Here a frame that does not check out costs one byte, so text
 noise (ArduPilot greets in plain text) and cut datagrams lose nothing behind them.
+
+What a frame says is read only if it is asked for: most kinds never are, those that come often have readers of their
+own (`fg_gcs.wire.messages`), pymavlink reads the rest.
 """
 
-from typing import Any, Final, Protocol
+import re
+from collections.abc import Mapping
+from struct import Struct
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple, Protocol
 
+from fastcrc import crc16
 from pymavlink.dialects.v20 import all as dialect
+
+from fg_gcs.wire.messages import READERS
 
 GCS_SYSTEM: Final = 255  # ArduPilot's GCS failsafe listens to heartbeats of this system only
 GCS_COMPONENT: Final = 190  # MAV_COMP_ID_MISSIONPLANNER: PX4 explains a refused OFFBOARD only to this component
 
 _MAGIC_V1: Final = 0xFE
 _MAGIC_V2: Final = 0xFD
-_HEADER_BYTES: Final = {_MAGIC_V1: 6, _MAGIC_V2: 10}
+_find_magic: Final = re.compile(b"[\xfd\xfe]").search
+_HEADER_V1_BYTES: Final = 6
+_HEADER_V2_BYTES: Final = 10
 _CHECKSUM_BYTES: Final = 2
 _SIGNED: Final = 0x01
 _SIGNATURE_BYTES: Final = 13
+# Length, flags that must be understood, flags that need not be, sequence, system, component, message id in two parts
+_unpack_v2: Final = Struct("<xBBBBBBHB").unpack_from
+_unpack_v1: Final = Struct("<xBBBBB").unpack_from  # the same without flags
+_checksum: Final = crc16.mcrf4xx
+# The byte of each kind of message that goes into the checksum behind all others, so that both sides mean the same kind
+_CRC_EXTRAS: Final[Mapping[int, bytes]] = MappingProxyType(
+    {identity: bytes([kind.crc_extra]) for identity, kind in dialect.mavlink_map.items()}
+)
 
 
 class Message(Protocol):
@@ -35,22 +55,70 @@ class Message(Protocol):
     def get_srcComponent(self) -> int:
         """Component id of the sender."""
 
-    def get_msgbuf(self) -> bytearray:
+    def get_msgbuf(self) -> bytes | bytearray:
         """The whole frame as it was on the wire: what a tlog holds."""
-
-    def get_payload(self) -> bytes:
-        """The payload of the frame, trailing zeros cut off."""
 
     def __getattr__(self, field: str) -> Any: ...  # noqa: ANN401 - a field's type depends on the message
 
 
-def is_known(message: Message) -> bool:
-    """Tell whether the dialect knows this message, so that its sender and fields can be read."""
-    return message.get_msgId() >= 0
+class Frame(NamedTuple):
+    """A good frame, which passes for pymavlink's message: its fields are read when they are asked for.
+
+    Whoever reads several of them reads them together, by `fields`.
+    """
+
+    raw: bytes  # the whole frame as it was on the wire
+    message_id: int
+    system_id: int  # of the sender, as the component
+    component_id: int
+
+    def fields(self) -> Any:  # noqa: ANN401 - depends on the message
+        """Return what a known message says: one of `fg_gcs.wire.messages`, or else pymavlink's own object."""
+        read = READERS.get(self.message_id)
+        return dialect.MAVLink(None).decode(bytearray(self.raw)) if read is None else read(self._payload())
+
+    def get_msgId(self) -> int:
+        """Message id, negative for a message the dialect does not know."""
+        return self.message_id if self.message_id in _CRC_EXTRAS else dialect.MAVLINK_MSG_ID_UNKNOWN
+
+    def get_type(self) -> str:
+        """Name such as ``HEARTBEAT``; ``UNKNOWN_410`` for a message the dialect does not know."""
+        kind = dialect.mavlink_map.get(self.message_id)
+        return f"UNKNOWN_{self.message_id}" if kind is None else kind.msgname
+
+    def get_seq(self) -> int:
+        """Sequence number."""
+        return self.raw[4] if self.raw[0] == _MAGIC_V2 else self.raw[2]
+
+    def get_srcSystem(self) -> int:
+        """System id of the sender."""
+        return self.system_id
+
+    def get_srcComponent(self) -> int:
+        """Component id of the sender."""
+        return self.component_id
+
+    def get_msgbuf(self) -> bytes:
+        """The whole frame as it was on the wire: what a tlog holds."""
+        return self.raw
+
+    def __getattr__(self, field: str) -> Any:  # noqa: ANN401 - a field's type depends on the message
+        if not is_known(self):
+            raise AttributeError(field)
+        return getattr(self.fields(), field)
+
+    def _payload(self) -> bytes:
+        start = _HEADER_V2_BYTES if self.raw[0] == _MAGIC_V2 else _HEADER_V1_BYTES
+        return self.raw[start : start + self.raw[1]]
+
+
+def is_known(frame: Frame) -> bool:
+    """Tell whether the dialect knows this message, so that its fields can be read."""
+    return frame.message_id in _CRC_EXTRAS
 
 
 class Codec:
-    """Bytes from one peer address to messages.
+    """Bytes from one peer address to frames.
 
     Attributes:
         bad_bytes: Bytes thrown away because no good frame begins there.
@@ -62,71 +130,73 @@ class Codec:
         self.bad_bytes = 0
         self.frames = 0
         self.unknown_messages = 0
-        self._buffer = bytearray()
-        self._decoder: Any = dialect.MAVLink(None)
+        self._rest = b""
 
-    def receive(self, data: bytes) -> list[Message]:
-        """Return the messages that ``data`` completes; never raises, whatever the bytes are.
+    def receive(self, data: bytes) -> list[Frame]:
+        """Return the frames that ``data`` completes; never raises, whatever the bytes are.
 
         Unknown messages are among them (see `is_known`), because the log wants their bytes. An unfinished frame is
         kept until the next call.
         """
-        self._buffer += data
-        messages: list[Message] = []
+        buffer = self._rest + data if self._rest else data
+        size = len(buffer)
+        frames: list[Frame] = []
         start = 0
-        while (start := self._next_magic(start)) < len(self._buffer):
-            end = self._frame_end(start)
-            if end is None:
-                self.bad_bytes += 1
-                start += 1
-            elif end > len(self._buffer):
+        while start < size:
+            magic = buffer[start]
+            if magic not in (_MAGIC_V1, _MAGIC_V2):
+                found = _find_magic(buffer, start)
+                after = size if found is None else found.start()
+                self.bad_bytes += after - start
+                start = after
+                continue
+            end = _frame_end(buffer, start)
+            if end is not None and end > size:
                 break
-            elif (message := self._decode(start, end)) is None:
+            frame = None if end is None else self._frame(buffer, start, end)
+            if end is None or frame is None:
                 self.bad_bytes += 1
                 start += 1
             else:
-                messages.append(message)
+                frames.append(frame)
                 start = end
-        del self._buffer[:start]
-        self.frames += len(messages)
-        return messages
+        self._rest = buffer[start:]
+        self.frames += len(frames)
+        return frames
 
     def restart(self) -> None:
         """Throw an unfinished frame away: what comes next is not its other half, but a new connection's beginning."""
-        self.bad_bytes += len(self._buffer)
-        self._buffer.clear()
+        self.bad_bytes += len(self._rest)
+        self._rest = b""
 
-    def _next_magic(self, start: int) -> int:
-        """Index of the next byte at or after ``start`` that may begin a frame, else the buffer's length."""
-        buffer, found = self._buffer, start
-        while found < len(buffer) and buffer[found] not in _HEADER_BYTES:
-            found += 1
-        self.bad_bytes += found - start
-        return found
-
-    def _frame_end(self, start: int) -> int | None:
-        """Index behind the frame at ``start`` (may lie beyond the buffer), None if no frame can begin there."""
-        buffer = self._buffer
-        if len(buffer) < start + 3:
-            return start + 3
-        end = start + _HEADER_BYTES[buffer[start]] + buffer[start + 1] + _CHECKSUM_BYTES
+    def _frame(self, buffer: bytes, start: int, end: int) -> Frame | None:
+        """Frame of the complete bytes ``[start, end)``, None if it does not check out."""
         if buffer[start] == _MAGIC_V2:
-            incompatible = buffer[start + 2]
-            if incompatible & ~_SIGNED:
-                return None  # MAVLink 2: a frame with unknown incompatibility flags must be dropped
-            if incompatible & _SIGNED:
-                end += _SIGNATURE_BYTES
-        return end
-
-    def _decode(self, start: int, end: int) -> Message | None:
-        """Message of the complete frame ``[start, end)``, None if it does not check out."""
-        try:
-            message: Message = self._decoder.decode(self._buffer[start:end])
-        except (dialect.MAVError, ValueError, TypeError):  # checksum, or a field that the message class refuses
-            return None
-        if not is_known(message):
+            length, _, _, _, system_id, component_id, low, high = _unpack_v2(buffer, start)
+            message_id, behind = low | high << 16, start + _HEADER_V2_BYTES + length
+        else:
+            length, _, system_id, component_id, message_id = _unpack_v1(buffer, start)
+            behind = start + _HEADER_V1_BYTES + length
+        crc_extra = _CRC_EXTRAS.get(message_id)
+        if crc_extra is None:
             # Without the dialect's extra byte its checksum verifies nothing: it counts if a frame, or nothing, follows.
-            if end < len(self._buffer) and self._buffer[end] not in _HEADER_BYTES:
+            if end < len(buffer) and buffer[end] not in (_MAGIC_V1, _MAGIC_V2):
                 return None
             self.unknown_messages += 1
-        return message
+        elif _checksum(buffer[start + 1 : behind] + crc_extra) != buffer[behind] | buffer[behind + 1] << 8:
+            return None
+        return Frame(buffer[start:end], message_id, system_id, component_id)
+
+
+def _frame_end(buffer: bytes, start: int) -> int | None:
+    """Index behind the frame at ``start`` (may lie beyond the buffer), None if no frame can begin there."""
+    if len(buffer) < start + 3:
+        return start + 3
+    if buffer[start] == _MAGIC_V1:
+        return start + _HEADER_V1_BYTES + buffer[start + 1] + _CHECKSUM_BYTES
+    end = start + _HEADER_V2_BYTES + buffer[start + 1] + _CHECKSUM_BYTES
+    incompatible = buffer[start + 2]
+    if incompatible == 0:
+        return end
+    # MAVLink 2: a frame with unknown incompatibility flags must be dropped
+    return end + _SIGNATURE_BYTES if incompatible == _SIGNED else None

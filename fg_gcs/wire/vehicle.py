@@ -4,15 +4,17 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire import params
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import AutopilotProfile, profile_of
-from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Message
+from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Frame, Message
+from fg_gcs.wire.messages import Attitude, ExtendedSysState, Heartbeat, LocalPositionNed, SysStatus
 from fg_gcs.wire.phases import Phase, PhaseEvent, following
+from fg_gcs.wire.states import State, StateTable
 from fg_gcs.wire.texts import Text, TextAssembler
 
 LOST_AFTER_S: Final = 3.0  # three heartbeats at 1 Hz: one lost datagram is no lost vehicle
@@ -102,13 +104,7 @@ class Vehicle:
         armed: Motors armed.
         prearm_ok: Pre-arm checks are good *for the current mode*: choose the streaming mode first.
         landed_state: MAV_LANDED_STATE, 0 while unknown.
-        position_ned_m: [m; NED from the vehicle's own local origin], None before the first.
-        velocity_ned_m_s: [m/s; NED], None before the first.
-        boot_time_s: The vehicle's clock at that sample [s].
-        position_at_s: Our loop time when that sample came [s].
         samples: Number of finite LOCAL_POSITION_NED so far: a new number is a new sample.
-        ground_ned_m: The last position while disarmed; its z is this vehicle's ground, which is not z = 0.
-        yaw_rad: Heading [rad; clockwise from north], None before the first ATTITUDE.
         origin: Origin of its local frame, None before the first GPS_GLOBAL_ORIGIN.
         battery: State of charge.
         params: Values of the parameters heard so far, by name.
@@ -132,13 +128,7 @@ class Vehicle:
         self.armed = False
         self.prearm_ok = False
         self.landed_state = 0
-        self.position_ned_m: Vector | None = None
-        self.velocity_ned_m_s: Vector | None = None
-        self.boot_time_s = 0.0
-        self.position_at_s = -math.inf
         self.samples = 0
-        self.ground_ned_m: Vector | None = None
-        self.yaw_rad: float | None = None
         self.origin: Origin | None = None
         self.battery = Battery(math.nan, math.nan)
         self.params: dict[str, float] = {}
@@ -148,6 +138,7 @@ class Vehicle:
         self.acks: dict[int, Ack] = {}
         self.message_at_s: dict[int, float] = {}
         self.heard_at_s = now_s
+        self._states, self._row = StateTable(1), 0
         self._assembler = TextAssembler()
         self._accepted_modes: frozenset[int | None] | None = None  # None: nothing commanded, nothing to take over
 
@@ -162,6 +153,42 @@ class Vehicle:
         return "unknown" if self.mode is None else self.profile.mode_name(self.mode)
 
     @property
+    def state(self) -> State:
+        """Where it is and how it moves, in numbers of which the unknown ones are NaN."""
+        return self._states[self._row]
+
+    @property
+    def position_ned_m(self) -> Vector | None:
+        """Position [m; NED from the vehicle's own local origin], None before the first."""
+        return _known(self.state[0:3])
+
+    @property
+    def velocity_ned_m_s(self) -> Vector | None:
+        """Velocity [m/s; NED], None before the first."""
+        return _known(self.state[3:6])
+
+    @property
+    def boot_time_s(self) -> float:
+        """The vehicle's clock at that sample [s]."""
+        return self.state.boot_time_s
+
+    @property
+    def position_at_s(self) -> float:
+        """Our loop time when that sample came [s], minus infinity before the first."""
+        return self.state.position_at_s
+
+    @property
+    def ground_ned_m(self) -> Vector | None:
+        """The last position while disarmed [m; NED]; its z is this vehicle's ground, which is not z = 0."""
+        return _known(self.state[8:11])
+
+    @property
+    def yaw_rad(self) -> float | None:
+        """Heading [rad; clockwise from north], None before the first ATTITUDE."""
+        yaw_rad = self.state.yaw_rad
+        return None if math.isnan(yaw_rad) else yaw_rad
+
+    @property
     def airborne(self) -> bool:
         """Off the ground, by its landed state: an acknowledged take-off is not yet one."""
         return self.landed_state in _AIRBORNE
@@ -169,27 +196,32 @@ class Vehicle:
     @property
     def height_m(self) -> float | None:
         """Height above where it last stood disarmed [m]; None before that is known."""
-        if self.position_ned_m is None or self.ground_ned_m is None:
-            return None
-        return self.ground_ned_m[2] - self.position_ned_m[2]
+        state = self.state
+        height_m = state.ground_down_m - state.down_m
+        return None if math.isnan(height_m) else height_m
 
-    def handle(self, message: Message, now_s: float) -> None:
+    def keep_state_in(self, states: StateTable, row: int) -> None:
+        """Keep the state in a row of another table from now on, as it is."""
+        states[row] = self.state
+        self._states, self._row = states, row
+
+    def handle(self, frame: Frame, now_s: float) -> None:
         """Take one message of this vehicle; never raises, fields that are not finite are not believed.
 
         Args:
-            message: Any message; those of other components and unknown ones change nothing.
+            frame: Any message; those of other components and unknown ones change nothing.
             now_s: Loop time [s].
         """
-        if message.get_srcComponent() != dialect.MAV_COMP_ID_AUTOPILOT1:
+        if frame.component_id != dialect.MAV_COMP_ID_AUTOPILOT1:
             return
-        identity = message.get_msgId()
-        if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and profile_of(message) is not self.profile:
-            return
-        self.heard_at_s = now_s
-        self.message_at_s[identity] = now_s
+        identity = frame.message_id
         handler = self._HANDLERS.get(identity)
         if handler is not None:
-            handler(self, message, now_s)
+            fields = frame.fields()
+            if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and profile_of(fields) is not self.profile:
+                return
+            handler(self, fields, now_s)
+        self.heard_at_s = self.message_at_s[identity] = now_s
 
     def watch(self, now_s: float) -> None:
         """Notice silence, and give out texts whose rest never came: call it about once a second."""
@@ -234,7 +266,7 @@ class Vehicle:
             self._accepted_modes = frozenset({mode})
         self.mode = mode
 
-    def _on_heartbeat(self, message: Message, now_s: float) -> None:
+    def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
         self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         self._set_mode(message.custom_mode)
         self._apply(PhaseEvent.HEARD, now_s)
@@ -244,7 +276,7 @@ class Vehicle:
         self._set_mode(message.custom_mode)
         self._judge(now_s)
 
-    def _on_sys_status(self, message: Message, now_s: float) -> None:
+    def _on_sys_status(self, message: SysStatus, now_s: float) -> None:
         self.prearm_ok = bool(message.onboard_control_sensors_health & dialect.MAV_SYS_STATUS_PREARM_CHECK)
         voltage_mv, percent = message.voltage_battery, message.battery_remaining
         self.battery = Battery(
@@ -253,25 +285,22 @@ class Vehicle:
         )
         self._judge(now_s)
 
-    def _on_landed_state(self, message: Message, now_s: float) -> None:
+    def _on_landed_state(self, message: ExtendedSysState, now_s: float) -> None:
         self.landed_state = message.landed_state
         self._judge(now_s)
 
-    def _on_position(self, message: Message, now_s: float) -> None:
-        position = (message.x, message.y, message.z)
-        velocity = (message.vx, message.vy, message.vz)
-        if not math.isfinite(sum(position) + sum(velocity)):
+    def _on_position(self, message: LocalPositionNed, now_s: float) -> None:
+        time_boot_ms, x, y, z, vx, vy, vz = message
+        if not math.isfinite(x + y + z + vx + vy + vz):
             return
-        self.position_ned_m, self.velocity_ned_m_s = position, velocity
-        self.boot_time_s = message.time_boot_ms / 1000.0
-        self.position_at_s = now_s
+        self._states.set_motion(self._row, x, y, z, vx, vy, vz, time_boot_ms / 1000.0, now_s)
         self.samples += 1
         if not self.armed:
-            self.ground_ned_m = position
+            self._states.set_ground(self._row, x, y, z)
 
-    def _on_attitude(self, message: Message, now_s: float) -> None:
+    def _on_attitude(self, message: Attitude, now_s: float) -> None:
         if math.isfinite(message.yaw):
-            self.yaw_rad = message.yaw
+            self._states.set_yaw(self._row, message.yaw)
 
     def _on_origin(self, message: Message, now_s: float) -> None:
         self.origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
@@ -295,7 +324,7 @@ class Vehicle:
         if len(self.param_errors) < MOST_PARAMETERS:
             self.param_errors[message.param_id] = ParamError(message.error, now_s)
 
-    _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Message, float], None]]] = MappingProxyType(
+    _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Any, float], None]]] = MappingProxyType(
         {
             dialect.MAVLINK_MSG_ID_HEARTBEAT: _on_heartbeat,
             dialect.MAVLINK_MSG_ID_CURRENT_MODE: _on_current_mode,
@@ -310,3 +339,8 @@ class Vehicle:
             dialect.MAVLINK_MSG_ID_PARAM_ERROR: _on_param_error,
         }
     )
+
+
+def _known(numbers: tuple[float, ...]) -> Vector | None:
+    x, y, z = numbers
+    return None if math.isnan(x) else (x, y, z)

@@ -1,4 +1,5 @@
 import asyncio
+import socket
 
 import pytest
 from hypothesis import given
@@ -176,15 +177,47 @@ def test_tcp_talks_both_ways_and_outlives_its_partner() -> None:
 
 def test_a_full_way_out_drops_instead_of_growing() -> None:
     async def main() -> None:
-        wire = await open_wire(Endpoint(Kind.UDP_IN, "127.0.0.1", await free_port()), Heard())
-        assert isinstance(wire, UdpWire)
-        wire.pause_writing()
-        wire.send(b"lost", ("127.0.0.1", 9))
-        assert wire.dropped == 1
-        wire.resume_writing()
+        # Datagrams of another kind: unlike those of UDP they are kept until they are read, so that the way can be full
+        ours, deaf = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        ours.setblocking(False)
+        wire = UdpWire(Endpoint(Kind.UDP_OUT, "127.0.0.1", 9), Heard(), ours)
+        sent = 0
+        while not wire.dropped and sent < 10_000:
+            wire.send(bytes(1000), ("127.0.0.1", 9))
+            sent += 1
+        assert 1 < sent < 10_000
+        for _ in range(sent - 1):
+            deaf.recv(2000)
         wire.send(b"sent", ("127.0.0.1", 9))
-        assert wire.dropped == 1
+        assert (wire.dropped, deaf.recv(2000)) == (1, b"sent")
         wire.close()
+        deaf.close()
+
+    asyncio.run(main())
+
+
+def test_what_waits_is_read_in_its_order_and_not_all_at_once() -> None:
+    async def main() -> None:
+        port, heard = await free_port(), Heard()
+        bound = await open_wire(Endpoint(Kind.UDP_IN, "127.0.0.1", port), heard)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            for number in range(100):
+                other.sendto(bytes([number]), ("127.0.0.1", port))
         await asyncio.sleep(0)
+        await heard.wait()
+        assert 0 < len(heard.data) < 100  # timers had their turn
+        while len(heard.data) < 100:
+            await heard.wait()
+        assert heard.data == [bytes([number]) for number in range(100)]
+        bound.close()
+        bound.close()
+
+    asyncio.run(main())
+
+
+def test_a_host_without_an_address_is_one_clear_line() -> None:
+    async def main() -> None:
+        with pytest.raises(LinkError, match=r"udpin:192\.0\.2\.1:14550: "):  # TEST-NET-1: no machine has it
+            await open_wire(Endpoint(Kind.UDP_IN, "192.0.2.1", 14550), Heard())
 
     asyncio.run(main())

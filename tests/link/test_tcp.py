@@ -139,12 +139,12 @@ def test_no_message_begins_in_one_connection_and_ends_in_the_next() -> None:
     async def main() -> None:
         seen: asyncio.Queue[int] = asyncio.Queue()
 
-        def on_message(vehicle: Vehicle, message: Message, now_s: float) -> None:
+        def on_frame(vehicle: Vehicle, message: Message, now_s: float) -> None:
             seen.put_nowait(message.get_seq())
 
         partner = Partner()
         await partner.come()
-        router = await Router.open({MAIN: [partner.endpoint]}, on_message=on_message)
+        router = await Router.open({MAIN: [partner.endpoint]}, on_frame=on_frame)
         cuts = [1, 3, 9, 10, 15, len(frames[0]) - 1]
         for cut in cuts:
             _, writer = await partner.called()

@@ -28,8 +28,8 @@ with Recorder(Path(sys.argv[1]), "", start_s, 1.7e9, in_thread=True) as recorder
         for system_id in range(1, 10):
             recorder.setpoints.append((time_s, MAIN, system_id, *[float(k)] * 10))
             recorder.telemetry.append((time_s, MAIN, system_id, *[float(k)] * 9))
-            recorder.frame(bytes(60), now_s)
-            recorder.frame(bytes(60), now_s)
+            recorder.frames([bytes(60)], now_s)
+            recorder.frames([bytes(60)], now_s)
         print(time_s, flush=True)
         if k % 10 == 0:
             recorder.event(now_s, "text", f"round {k}")

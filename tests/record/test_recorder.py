@@ -108,7 +108,7 @@ def test_everything_is_written_with_times_since_the_start(tmp_path: Path, in_thr
         recorder.listeners.append(lambda *event: heard.append(event))
         recorder.event(51.25, "fault", "vehicle 1 lost", vehicles=(1,), height_m=float("nan"))
         recorder.event(52.0, "text", "line\nbreak")
-        recorder.frame(b"\xfd123", 53.0)
+        recorder.frames([b"\xfd123"], 53.0)
         recorder.telemetry.append((0.0, MAIN, 1, *range(9)))
         summary = recorder.finish({"completed": True, "flux": float("nan"), "rate": np.float64(50.0), "log": tmp_path})
     assert heard == [(1.25, "fault", "vehicle 1 lost"), (2.0, "text", "line\nbreak")]
@@ -164,7 +164,7 @@ def test_inputs_and_parameters_are_copied(tmp_path: Path) -> None:
 
 def flights_that_fail(folder: Path) -> Iterator[Recorder]:
     with Recorder(folder, "", 0.0, 0.0) as recorder:
-        recorder.frame(b"\xfdabc", 1.0)
+        recorder.frames([b"\xfdabc"], 1.0)
         recorder.telemetry.append(ROW)
         yield recorder
         raise RuntimeError("a bug")
@@ -179,7 +179,7 @@ def test_a_flight_that_raises_leaves_everything_and_why(tmp_path: Path) -> None:
     assert len(np.load(tmp_path / "telemetry.npy")) == 1
     summary = strict((tmp_path / SUMMARY).read_text())
     assert (summary["completed"], summary["reason"]) == (False, "a bug")
-    recorder.frame(b"more", 2.0)  # what comes late is left out and raises nothing
+    recorder.frames([b"more"], 2.0)  # what comes late is left out and raises nothing
     recorder.event(2.0, "text", "more")
     recorder.telemetry.append(ROW)
     recorder.flush()
@@ -214,7 +214,7 @@ def fly_on(recorder: Recorder, begin_s: int, end_s: int, size: int = 200) -> Non
         for k in range(50):
             time_s = second + 0.02 * k
             recorder.telemetry.append((time_s, MAIN, k, *[float(second)] * 9))
-            recorder.frame(bytes([0xFD, *[k] * size]), time_s)
+            recorder.frames([bytes([0xFD, *[k] * size])], time_s)
         recorder.event(float(second), "text", f"second {second}")
         recorder.flush()
         recorder.know(second=second)
@@ -322,7 +322,7 @@ from fg_gcs.wire.address import MAIN
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
 with Recorder(Path(sys.argv[1]), "", 0.0, 0.0, in_thread=True) as recorder:
     for k in range(5000):
-        recorder.frame(bytes(100), k * 0.01)
+        recorder.frames([bytes(100)], k * 0.01)
         if k % 20 == 0:
             recorder.event(k * 0.01, "text", f"{k}")
             recorder.flush()
@@ -351,7 +351,7 @@ def test_a_disk_that_does_not_keep_up_ends_the_recording_and_holds_nobody_up(tmp
         os.mkfifo(tmp_path / f".{SUMMARY}.draft")
         recorder.know(second=2)
         for k in range(100):
-            recorder.frame(bytes(200_000), k * 0.01)
+            recorder.frames([bytes(200_000)], k * 0.01)
             recorder.flush()
         assert recorder.failure is not None
         assert recorder.failure.text == "the disk does not keep up"

@@ -21,7 +21,7 @@ def frames(count: int) -> list[bytes]:
 def test_other_programs_read_every_frame_with_its_time(tmp_path: Path) -> None:
     path, wanted = tmp_path / "flight.tlog", frames(40)
     times = [0.025 * k for k in range(len(wanted))]
-    log = [stamped(frame, EPOCH_S + time_s) for frame, time_s in zip(wanted, times, strict=True)]
+    log = [stamped([frame], EPOCH_S + time_s) for frame, time_s in zip(wanted, times, strict=True)]
     path.write_bytes(b"".join(log))
     reader = mavutil.mavlink_connection(str(path), dialect="common")
     try:
@@ -36,5 +36,6 @@ def test_other_programs_read_every_frame_with_its_time(tmp_path: Path) -> None:
 
 def test_a_record_is_its_stamp_and_its_frame() -> None:
     stamp = int((EPOCH_S + 1.5) * 1e6).to_bytes(8, "big")
-    assert stamped(b"\xfdabc", EPOCH_S + 1.5) == stamp + b"\xfdabc"
-    assert stamped(b"", EPOCH_S + 1.5) == stamp
+    assert stamped([b"\xfdabc"], EPOCH_S + 1.5) == stamp + b"\xfdabc"
+    assert stamped([b"\xfda", memoryview(b"\xfdbc")], EPOCH_S + 1.5) == stamp + b"\xfda" + stamp + b"\xfdbc"
+    assert stamped([], EPOCH_S + 1.5) == b""

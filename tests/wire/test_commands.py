@@ -164,7 +164,9 @@ def test_take_off_is_done_in_the_air_and_asked_only_once() -> None:
         return [(0.006, ack(22, 0)), *climb]
 
     vehicle = ardupilot()
-    vehicle.ground_ned_m, vehicle.armed = (0.0, 0.0, 0.0), True
+    for heard in Codec().receive(Sender(vehicle.system_id, 1).pack(position(0.0))):
+        vehicle.handle(heard, 0.0)
+    vehicle.armed = True
     dialogue, sent, ended_s = run(vehicle, commands.take_off(10.0), answer)
     assert dialogue.state is State.DONE
     assert [(m.command, m.param7) for m in sent] == [(22, 10.0)]

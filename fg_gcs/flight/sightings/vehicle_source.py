@@ -15,7 +15,7 @@ from fg_gcs.link.endpoint import Address, Wire, open_wire, parse_endpoint
 from fg_gcs.mission.target_tables import MovingTarget, VehicleSource
 from fg_gcs.scenario.sensor import Sensor
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
-from fg_gcs.wire.codec import Codec, Message, is_known
+from fg_gcs.wire.codec import Codec, Frame, is_known
 
 MOST_PEERS = 32  # senders kept; a flood of made-up ones must not fill the memory
 MOST_REPORTS = 2000  # kept of a simulated vehicle: at 100 Hz 10 s, and the truth is written down far sooner
@@ -96,13 +96,13 @@ class VehicleReportSource:
             if len(self._codecs) >= MOST_PEERS:
                 return
             codec = self._codecs[address] = Codec()
-        for message in codec.receive(data):
-            target = self._vehicles.get((message.get_srcSystem(), message.get_type())) if is_known(message) else None
+        for frame in codec.receive(data):
+            target = self._vehicles.get((frame.system_id, frame.get_type())) if is_known(frame) else None
             if target is not None:
-                self._take(target, message, now_s, *self._began)
+                self._take(target, frame, now_s, *self._began)
 
-    def _take(self, target: MovingTarget, message: Message, now_s: float, began_s: float, origin: Geodetic) -> None:
-        place = _place(message)
+    def _take(self, target: MovingTarget, frame: Frame, now_s: float, began_s: float, origin: Geodetic) -> None:
+        place = _place(frame)
         if place is None:
             self._on_refused(Verdict.MALFORMED, 1)
             return
@@ -157,10 +157,11 @@ class _Reports:
         return np.stack([np.interp(time_s, times, axis, left=np.nan, right=np.nan) for axis in positions.T], axis=1)
 
 
-def _place(message: Message) -> Geodetic | None:
+def _place(frame: Frame) -> Geodetic | None:
     """Return where a GLOBAL_POSITION_INT or a FOLLOW_TARGET says that its sender is, None if that is no place."""
-    altitude_m = message.alt / 1e3 if message.get_type() == "GLOBAL_POSITION_INT" else message.alt
-    place = Geodetic(message.lat / 1e7, message.lon / 1e7, altitude_m)
+    said = frame.fields()
+    altitude_m = said.alt / 1e3 if frame.get_type() == "GLOBAL_POSITION_INT" else said.alt
+    place = Geodetic(said.lat / 1e7, said.lon / 1e7, altitude_m)
     unknown = place.latitude_deg == place.longitude_deg == 0.0  # what vehicles say before they know
     inside = abs(place.latitude_deg) <= 90.0 and abs(place.longitude_deg) <= 180.0 and abs(altitude_m) < MOST_ALTITUDE_M
     return place if inside and not unknown else None

@@ -59,18 +59,28 @@ class TableLayout:
         """Length of a row."""
         return self._packer.size
 
-    def pack(self, row: Sequence[float | str]) -> bytes:
+    def text(self, name: str, text: str) -> bytes:
+        """Return a text's bytes as a column has them, for rows that have the same one again and again.
+
+        Raises:
+            KeyError: there is no such column of texts.
+        """
+        sizes = {column.name: int(column.code[:-1]) for column in self.columns if column.code.endswith("s")}
+        return _utf8(text, sizes[name])
+
+    def pack(self, row: Sequence[float | str | bytes]) -> bytes:
         """Return a row's bytes; a text that is too long is cut between two characters.
 
         Args:
-            row: a value for every cell of every column, in their order.
+            row: a value for every cell of every column, in their order; a text may be given as its bytes, see `text`.
 
         Raises:
             struct.error: there are more or fewer of them, or one is not what its column holds.
         """
         cells: list[Any] = list(row)
         for place, size in self._texts:
-            cells[place] = _utf8(str(cells[place]), size)
+            if not isinstance(cells[place], bytes):
+                cells[place] = _utf8(str(cells[place]), size)
         return self._packer.pack(*cells)
 
     def time_s(self, rows: bytes, index: int) -> float:

@@ -11,6 +11,9 @@ from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fg_gcs.record.write.files import Document, GrowingFile, RunFile, TableFile, ThreadedWriter, Writer
 from fg_gcs.record.write.layouts import LAYOUTS, TableLayout
 from fg_gcs.record.write.tlog import stamped
@@ -83,7 +86,7 @@ class Buffer:
 
 
 class TableRecorder:
-    """A table that grows row by row."""
+    """A table that grows, row by row or by many rows at once."""
 
     def __init__(self, layout: TableLayout, buffer: Buffer, writer: Writer) -> None:
         """Collect rows of a layout."""
@@ -91,12 +94,30 @@ class TableRecorder:
         self._buffer = buffer
         self._writer = writer
 
-    def append(self, row: Sequence[float | str]) -> None:
+    def append(self, row: Sequence[float | str | bytes]) -> None:
         """Add a row, the time first; one that does not fit ends the recording."""
         try:
             self._buffer.add(self._layout.pack(row), float(row[0]))
         except Exception as error:  # a fault of ours, but none that a flight has to suffer for
-            self._writer.fail(f"{self._layout.file_name}: a row does not fit its columns ({error})")
+            self._fail(error)
+
+    def rows(self, count: int) -> NDArray[np.void]:
+        """Return so many rows to fill in by the columns' names and to `extend` the table by, shape (count,)."""
+        return np.empty(count, self._layout.dtype)
+
+    def extend(self, rows: NDArray[np.void]) -> None:
+        """Add rows in the order of their times; if they do not fit, recording ends."""
+        if not len(rows):
+            return
+        try:
+            if rows.dtype != self._layout.dtype:
+                raise TypeError(f"they are of type {rows.dtype}")
+            self._buffer.add(rows.tobytes(), float(rows[-1]["time_s"]))
+        except Exception as error:  # likewise
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        self._writer.fail(f"{self._layout.file_name}: a row does not fit its columns ({error})")
 
 
 class Recorder:
@@ -168,11 +189,13 @@ class Recorder:
         """Return the run's time of a reading of the clock [s]."""
         return now_s - self._start_s
 
-    def frame(self, frame: bytes, now_s: float) -> None:
-        """Log a MAVLink frame of either direction."""
+    def frames(self, frames: Iterable[bytes | memoryview], now_s: float) -> None:
+        """Log whole MAVLink frames of either direction that passed at one time."""
         self._now_s = now_s - self._start_s
-        with self.guard("frame"):
-            self._frames.add(stamped(frame, self._epoch_s + self._now_s), self._now_s)
+        try:
+            self._frames.add(stamped(frames, self._epoch_s + self._now_s), self._now_s)
+        except Exception as error:  # as `guard`, which costs as much as all this
+            self._writer.fail(f"frames cannot be recorded ({type(error).__name__}: {error})")
 
     def event(self, now_s: float, kind: str, text: str, **data: object) -> None:
         """Append an event: what happened, in words and in fields; it is written at once."""

@@ -1,0 +1,91 @@
+"""Where vehicles are and how they move, as arrays: one row a vehicle, written as telemetry comes."""
+
+import math
+from struct import Struct
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+_LAYOUT: Final = np.dtype(
+    [
+        ("position_ned_m", "<f8", (3,)),
+        ("velocity_ned_m_s", "<f8", (3,)),
+        ("boot_time_s", "<f8"),
+        ("position_at_s", "<f8"),
+        ("ground_ned_m", "<f8", (3,)),
+        ("yaw_rad", "<f8"),
+    ]
+)
+_ALL: Final = Struct("<12d")
+_MOTION: Final = Struct("<8d")
+_GROUND: Final = Struct("<3d")
+_YAW: Final = Struct("<d")
+_GROUND_OFFSET: Final = _MOTION.size
+_YAW_OFFSET: Final = _MOTION.size + _GROUND.size
+# Numbers go in and out as bytes: NumPy takes ten times as long for one cell of a row.
+
+
+class State(NamedTuple):
+    """One vehicle's row; what is not known is NaN.
+
+    Attributes:
+        north_m, east_m, down_m: Position [m; NED from the vehicle's own local origin].
+        north_m_s, east_m_s, down_m_s: Velocity [m/s; NED].
+        boot_time_s: The vehicle's clock at that sample [s].
+        position_at_s: Our loop time when that sample came [s]; minus infinity before the first.
+        ground_north_m, ground_east_m, ground_down_m: The last position while disarmed [m; NED].
+        yaw_rad: Heading [rad; clockwise from north].
+    """
+
+    north_m: float
+    east_m: float
+    down_m: float
+    north_m_s: float
+    east_m_s: float
+    down_m_s: float
+    boot_time_s: float
+    position_at_s: float
+    ground_north_m: float
+    ground_east_m: float
+    ground_down_m: float
+    yaw_rad: float
+
+
+class StateTable:
+    """States of V vehicles.
+
+    Args:
+        count: V.
+
+    Attributes:
+        position_ned_m: Shape (V, 3) [m; NED from each vehicle's own local origin]; NaN before the first.
+        position_at_s: Our loop time when it came, shape (V,) [s]; minus infinity before the first.
+    """
+
+    def __init__(self, count: int) -> None:
+        nothing = State(*[math.nan] * len(State._fields))._replace(boot_time_s=0.0, position_at_s=-math.inf)
+        self._data = bytearray(_ALL.pack(*nothing) * count)
+        rows: NDArray[Any] = np.frombuffer(self._data, _LAYOUT)
+        self.position_ned_m: NDArray[np.float64] = rows["position_ned_m"]
+        self.position_at_s: NDArray[np.float64] = rows["position_at_s"]
+
+    def __getitem__(self, row: int) -> State:
+        """Return one vehicle's state."""
+        return State._make(_ALL.unpack_from(self._data, row * _ALL.size))
+
+    def __setitem__(self, row: int, state: State) -> None:
+        """Set one vehicle's state."""
+        _ALL.pack_into(self._data, row * _ALL.size, *state)
+
+    def set_motion(self, row: int, *numbers: float) -> None:
+        """Set what one position sample says: the first eight numbers of a `State`."""
+        _MOTION.pack_into(self._data, row * _ALL.size, *numbers)
+
+    def set_ground(self, row: int, *numbers: float) -> None:
+        """Set where a vehicle stands: the three numbers of its ground."""
+        _GROUND.pack_into(self._data, row * _ALL.size + _GROUND_OFFSET, *numbers)
+
+    def set_yaw(self, row: int, yaw_rad: float) -> None:
+        """Set a vehicle's heading [rad]."""
+        _YAW.pack_into(self._data, row * _ALL.size + _YAW_OFFSET, yaw_rad)
