@@ -112,6 +112,7 @@ class Autopilot:
         self.armed_at_s = -math.inf
         self.climb_since_s: float | None = None  # motors ready and something asks to leave the ground
         self.landed_at_s: float | None = None  # since the last arming
+        self._lived_s = 0.0  # until when the battery was used
         self._sense = setup.sense
         self._body: BodyState | None = None  # at `now_s`, once it was needed
         self._texts = 0
@@ -325,18 +326,20 @@ class Autopilot:
 
     def enter(self, now_s: float) -> None:
         """A new instant begins."""
-        if self.armed:
-            self.battery.use(now_s - self.now_s)
         self.now_s = now_s
         self._body = None
 
     def go_on(self) -> None:
-        """Send what was deferred, and boot on."""
+        """Send what was deferred, boot on, and use up the battery."""
+        if self.armed:
+            self.battery.use(self.now_s - self._lived_s)
+        self._lived_s = self.now_s
         while self._deferred and self._deferred[0].due_s <= self.now_s:
             self.outbox.append(heapq.heappop(self._deferred).message)
         if not self.origin_set and self.uptime_s >= self.boot.origin_s:
             self.set_origin(self.local_origin_ned_m)
         self.table.positioned[self.row] = self.ready
+        self.table.gps_fixed[self.row] = self.uptime_s >= self.boot.origin_s and self.gps_lost_at_s is None
 
     @property
     def rests_until_s(self) -> float:

@@ -186,8 +186,6 @@ class AutopilotProfile:
     # Telemetry
     default_streams: Mapping[str, float]  # [Hz] sent unasked
     intervals: Intervals
-    gps_fix: int  # GPS_FIX_TYPE once there is one
-    airspeed_measured: bool
     home_quaternion: tuple[float, float, float, float]
     battery: BatteryProfile
     # Parameters

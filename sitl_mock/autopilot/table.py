@@ -20,8 +20,8 @@ class VehicleTable:
         origin_ned_m: (V, 3) where each one's local frame has its zero; world.
         told_origin_error_m: (V, 3) by how much GPS_GLOBAL_ORIGIN is wrong.
         home_ned_m: (V, 3) where each one was armed; world.
-        frame_scale: (3,) length in a local frame of a metre of the world, along each axis.
         positioned: (V,) whether each one's estimator has a position.
+        gps_fixed: (V,) whether each one's receiver has satellites.
         clock_zero_s: (V,) simulated time at which each one's own clock read zero [s].
         clock_rate: (V,) seconds of each one's own clock per second of simulated time.
     """
@@ -32,26 +32,33 @@ class VehicleTable:
         self.told_origin_error_m = np.zeros((vehicles, 3))
         self._origin_errors_m = origin_errors_m
         self.home_ned_m = pads_ned_m.copy()
-        self.frame_scale = np.ones(3)
+        self._scale = (1.0, 1.0, 1.0)
         self.positioned = np.zeros(vehicles, dtype=bool)
+        self.gps_fixed = np.zeros(vehicles, dtype=bool)
         self.clock_zero_s = np.zeros(vehicles)
         self.clock_rate = np.ones(vehicles)
 
+    def scale_frames(self, north: float, east: float) -> None:
+        """Local frames show a metre of the world as so much, along each axis."""
+        self._scale = (north, east, 1.0)
+
     def local_m(self, rows: int | NDArray[np.intp], position_ned_m: Array) -> Array:
         """World positions (..., 3) in the local frames of the vehicles at `rows` (...,)."""
-        local: Array = (position_ned_m - self.origin_ned_m[rows]) * self.frame_scale
+        local: Array = (position_ned_m - self.origin_ned_m[rows]) * self._scale
         return local
 
     def world_m(self, row: int, local_m: Vec3) -> Vec3:
         """A position in one vehicle's local frame as one in the world."""
-        return vec3(self.origin_ned_m[row] + np.array(local_m) / self.frame_scale)
+        north_m, east_m, down_m = self.origin_ned_m[row].tolist()
+        scale = self._scale
+        return (north_m + local_m[0] / scale[0], east_m + local_m[1] / scale[1], down_m + local_m[2])
 
     def restart(self, row: int, now_s: float, place_ned_m: Vec3) -> None:
         """A vehicle boots anew: its clock reads zero, and its local frame will be where it is now."""
         self.clock_zero_s[row], self.clock_rate[row] = now_s, 1.0
         self.origin_ned_m[row] = np.array(place_ned_m) + self._origin_errors_m[row]
         self.told_origin_error_m[row] = 0.0
-        self.positioned[row] = False
+        self.positioned[row] = self.gps_fixed[row] = False
 
     def change_clock(self, row: int, now_s: float, by_s: float, gain: float) -> None:
         """A vehicle's own clock jumps, and goes on gaining seconds per second beside its present rate."""

@@ -141,7 +141,7 @@ class Fleet:
         self._table = VehicleTable(pads_ned_m, noise)
         if model is not None and model.earth_radius_m:
             latitude_deg, _, altitude_m = options.origin_deg_m
-            self._table.frame_scale[:2] = frame_scale(model.earth_radius_m, latitude_deg, altitude_m)
+            self._table.scale_frames(*frame_scale(model.earth_radius_m, latitude_deg, altitude_m))
         self.vehicles = []
         for k, system_id in enumerate(options.system_ids):
             drift_rad = float(drifts.uniform(-np.pi, np.pi))
@@ -219,12 +219,12 @@ class Fleet:
         autopilot = self.vehicles[vehicle].autopilot
         if autopilot.thrust is not Thrust.FLY:
             self.swarm.commands.flying[vehicle] = False
+            self._given[vehicle] = None
             return
         given = (autopilot.reference, autopilot.limits)
         if self._given[vehicle] != given:  # most of the time nothing new is asked
             self._given[vehicle] = given
             self.swarm.commands.set(vehicle, *given, self.physics.tracking)
-        self.swarm.commands.flying[vehicle] = True
 
     def _tune(self, vehicle: int) -> None:
         """Let changed parameters reach the control law."""

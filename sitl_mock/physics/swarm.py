@@ -59,26 +59,31 @@ class Commands:
         self.correction_m_s2[:] = 1.0
 
     def set(self, row: int, reference: Reference, limits: Limits, tracking: PositionLoop) -> None:
-        """Replace the reference of one vehicle; whether it flies is `flying`."""
-        self.position_m[row] = reference.position_ned_m
-        self.velocity_m_s[row] = reference.velocity_ned_m_s
-        self.acceleration_m_s2[row] = reference.acceleration_ned_m_s2
-        self.position_used[row] = reference.position_used
-        self.velocity_given[row] = reference.velocity_used
-        self.controlled[row] = np.logical_or(reference.position_used, reference.velocity_used)
+        """Replace the reference of one vehicle, which flies from now on until `flying` says otherwise."""
         step = reference.is_step
-        self.position_gain_per_s[row] = limits.step_gain_per_s if step else tracking.position_gain_per_s
-        self.speed_headroom_m_s[row] = 0.0 if step else tracking.speed_headroom_m_s
-        self.yaw_used[row] = reference.yaw_rad is not None
-        self.yaw_rad[row] = 0.0 if reference.yaw_rad is None else reference.yaw_rad
-        self.yaw_rate_rad_s[row] = reference.yaw_rate_rad_s
-        self.since_s[row] = reference.since_s
-        self.carry_s[row] = reference.carry_s
-        self.lapses[row] = reference.lapses
-        self.speed_m_s[row] = limits.speed_m_s
-        self.climb_m_s[row] = limits.climb_m_s
-        self.descent_m_s[row] = limits.descent_m_s
-        self.correction_m_s2[row] = limits.acceleration_m_s2
+        used, given = reference.position_used, reference.velocity_used
+        # A whole row at once, in the order of its columns: column by column would take four times as long.
+        self.table[row] = (
+            reference.position_ned_m,
+            reference.velocity_ned_m_s,
+            reference.acceleration_ned_m_s2,
+            used,
+            given,
+            (used[0] or given[0], used[1] or given[1], used[2] or given[2]),
+            limits.step_gain_per_s if step else tracking.position_gain_per_s,
+            0.0 if step else tracking.speed_headroom_m_s,
+            0.0 if reference.yaw_rad is None else reference.yaw_rad,
+            reference.yaw_rate_rad_s,
+            reference.yaw_rad is not None,
+            reference.since_s,
+            reference.carry_s,
+            reference.lapses,
+            limits.speed_m_s,
+            limits.climb_m_s,
+            limits.descent_m_s,
+            limits.acceleration_m_s2,
+            True,
+        )
 
 
 class Disturbances:

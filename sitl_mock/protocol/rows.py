@@ -20,6 +20,9 @@ from sitl_mock.protocol.layouts import layout
 
 Rows = NDArray[np.intp]  # (R,) of vehicles
 FULL_TURN_CDEG = 36000
+NO_FIX = 1  # GPS_FIX_TYPE: a receiver is there, satellites are not
+NO_SPEED = 65535  # of GPS_RAW_INT: not known, or too fast
+HOVER_PERCENT = 48
 
 
 class Scene(NamedTuple):
@@ -52,22 +55,28 @@ class Scene(NamedTuple):
     time_s: float
 
 
+Builder = Callable[[Scene, Rows], NDArray[np.void]]
+
+
 class RowBuilder(NamedTuple):
     """How one message is made for many vehicles.
 
     Attributes:
-        build: from a scene and R rows to the payloads, see `Layout.rows`; with `time_boot_ms` still to be filled in.
+        build: from a scene and R rows to the payloads, see `Layout.rows`; with its time stamp still to be filled in.
         needs_position: it is sent only by vehicles whose estimator has a position.
     """
 
-    build: Callable[[Scene, Rows], NDArray[np.void]]
+    build: Builder
     needs_position: bool = False
 
     def payloads(self, scene: Scene, rows: Rows) -> NDArray[np.void]:
         """The payloads of R vehicles, complete."""
         made = self.build(scene, rows)
-        # Milliseconds since boot, as they wrap on the wire
-        made["time_boot_ms"] = np.rint(scene.clock_s[rows] * 1e3).astype(np.int64) & 0xFFFFFFFF
+        names = made.dtype.names or ()
+        if "time_boot_ms" in names:  # as they wrap on the wire
+            made["time_boot_ms"] = np.rint(scene.clock_s[rows] * 1e3).astype(np.int64) & 0xFFFFFFFF
+        elif "time_usec" in names:
+            made["time_usec"] = np.rint(scene.clock_s[rows] * 1e6).astype(np.int64)
         return made
 
 
@@ -100,6 +109,44 @@ def _global_position(scene: Scene, rows: Rows) -> NDArray[np.void]:
         made["v" + axis] = centimetres[:, k]
     made["hdg"] = np.rint(np.degrees(scene.yaw_rad[rows]) % 360.0 * 100.0) % FULL_TURN_CDEG
     return made
+
+
+def gps_raw(fix_type: int) -> Builder:
+    """GPS_RAW_INT of an autopilot whose receiver has a kind of fix (GPS_FIX_TYPE) once it has one."""
+
+    def build(scene: Scene, rows: Rows) -> NDArray[np.void]:
+        made = layout("GPS_RAW_INT").rows(len(rows))
+        points, velocity_m_s = scene.world.geodetic_rows(scene.position_m[rows]), scene.velocity_m_s[rows]
+        fixed = scene.table.gps_fixed[rows]
+        made["fix_type"] = np.where(fixed, fix_type, NO_FIX)
+        made["satellites_visible"] = np.where(fixed, 10, 0)
+        made["lat"] = np.rint(points[:, 0] * 1e7)
+        made["lon"] = np.rint(points[:, 1] * 1e7)
+        made["alt"] = np.rint(points[:, 2] * 1e3)
+        made["eph"] = made["epv"] = 100
+        made["vel"] = np.minimum(np.rint(np.hypot(velocity_m_s[:, 0], velocity_m_s[:, 1]) * 100.0), NO_SPEED)
+        course_deg = np.degrees(np.arctan2(velocity_m_s[:, 1], velocity_m_s[:, 0]))
+        made["cog"] = np.rint(course_deg % 360.0 * 100.0) % FULL_TURN_CDEG
+        return made
+
+    return build
+
+
+def vfr_hud(airspeed_measured: bool) -> Builder:
+    """VFR_HUD; an autopilot may have no airspeed."""
+
+    def build(scene: Scene, rows: Rows) -> NDArray[np.void]:
+        made = layout("VFR_HUD").rows(len(rows))
+        velocity_m_s = scene.velocity_m_s[rows]
+        made["groundspeed"] = np.hypot(velocity_m_s[:, 0], velocity_m_s[:, 1])
+        made["airspeed"] = made["groundspeed"] if airspeed_measured else np.nan
+        made["heading"] = np.rint(np.degrees(scene.yaw_rad[rows])) % 360
+        made["throttle"] = np.where(scene.commands.flying[rows], HOVER_PERCENT, 0)
+        made["alt"] = scene.world.origin.altitude_m - scene.position_m[rows, 2]
+        made["climb"] = -velocity_m_s[:, 2]
+        return made
+
+    return build
 
 
 def _attitude(scene: Scene, rows: Rows) -> NDArray[np.void]:

@@ -21,7 +21,6 @@ FENCE_BIT = 0x100000  # MAV_SYS_STATUS_GEOFENCE: there is none to breach; MAVPro
 PREARM_BIT = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | 0x200000 | 0x2000000
 NAN = math.nan
-NO_FIX = 1  # GPS_FIX_TYPE: a receiver is there, satellites are not
 GPS_BIT = 0x20  # MAV_SYS_STATUS_SENSOR_GPS
 NO_CELL = 65535  # "no such cell" in BATTERY_STATUS
 
@@ -87,24 +86,6 @@ def _system_time(vehicle: Autopilot, body: BodyState) -> Fields:
     return {"time_unix_usec": boot_us(body), "time_boot_ms": boot_ms(body)}  # simulated time: runs are repeatable
 
 
-def _gps_raw_int(vehicle: Autopilot, body: BodyState) -> Fields:
-    point = vehicle.world.geodetic(*body.position_m)
-    v = body.velocity_m_s
-    fix = (vehicle.ready or vehicle.uptime_s >= vehicle.boot.origin_s) and vehicle.gps_lost_at_s is None
-    return {
-        "time_usec": boot_us(body),
-        "fix_type": vehicle.profile.gps_fix if fix else NO_FIX,
-        "lat": round(point.latitude_deg * 1e7),
-        "lon": round(point.longitude_deg * 1e7),
-        "alt": round(point.altitude_m * 1e3),
-        "eph": 100,
-        "epv": 100,
-        "vel": round(math.hypot(v[0], v[1]) * 100),
-        "cog": round(math.degrees(math.atan2(v[1], v[0])) % 360.0 * 100) % 36000,
-        "satellites_visible": 10 if fix else 0,
-    }
-
-
 class RunningTarget(NamedTuple):
     """What a vehicle in the air is flying to, run on to the present; local NED."""
 
@@ -142,19 +123,6 @@ def position_target(body: BodyState, axes: Iterable[float], mask: int, yaw_rad: 
     fields: Fields = dict(zip(names, axes, strict=True))
     more = {"coordinate_frame": 1, "type_mask": mask, "yaw": yaw_rad, "yaw_rate": 0.0}
     return fields | {"time_boot_ms": boot_ms(body)} | more
-
-
-def _vfr_hud(vehicle: Autopilot, body: BodyState) -> Fields:
-    v = body.velocity_m_s
-    speed_m_s = math.hypot(v[0], v[1])
-    return {
-        "airspeed": speed_m_s if vehicle.profile.airspeed_measured else NAN,
-        "groundspeed": speed_m_s,
-        "heading": round(math.degrees(body.yaw_rad)) % 360,
-        "throttle": 48 if vehicle.airborne else 0,
-        "alt": vehicle.world.origin.altitude_m - body.position_m[2],
-        "climb": -v[2],
-    }
 
 
 def _extended_sys_state(vehicle: Autopilot, body: BodyState) -> Fields:
@@ -246,10 +214,8 @@ BUILDERS: Mapping[str, Builder] = MappingProxyType(
         "HEARTBEAT": _heartbeat,
         "SYS_STATUS": _sys_status,
         "SYSTEM_TIME": _system_time,
-        "GPS_RAW_INT": _gps_raw_int,
         "MISSION_CURRENT": _mission_current,
         "GPS_GLOBAL_ORIGIN": _gps_global_origin,
-        "VFR_HUD": _vfr_hud,
         "BATTERY_STATUS": _battery_status,
         "AUTOPILOT_VERSION": _autopilot_version,
         "ESTIMATOR_STATUS": _estimator_status,

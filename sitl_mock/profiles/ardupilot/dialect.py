@@ -21,7 +21,7 @@ from sitl_mock.profiles.ardupilot.rules import ArduPilotRules
 from sitl_mock.protocol import commands, services, telemetry
 from sitl_mock.protocol.commands import Command
 from sitl_mock.protocol.dialect import Dialect, Strategy
-from sitl_mock.protocol.rows import ROW_BUILDERS
+from sitl_mock.protocol.rows import ROW_BUILDERS, RowBuilder, gps_raw, vfr_hud
 
 _AUTO_RTL = 27
 _READ_S = 0.08  # parameter reads are answered from a 10 Hz task: 63-99 ms
@@ -166,6 +166,12 @@ STRATEGY = Strategy(
             dict(telemetry.BUILDERS)
             | {"POSITION_TARGET_LOCAL_NED": _position_target, "EKF_STATUS_REPORT": _ekf_status_report}
         ),
-        row_builders=ROW_BUILDERS,
+        row_builders=MappingProxyType(
+            dict(ROW_BUILDERS)
+            | {
+                "GPS_RAW_INT": RowBuilder(gps_raw(fix_type=6)),
+                "VFR_HUD": RowBuilder(vfr_hud(airspeed_measured=True)),
+            }
+        ),
     ),
 )

@@ -93,8 +93,6 @@ PROFILE = AutopilotProfile(
         unknown_query=(0, CommandResult.FAILED),
         refused_ids=frozenset({331}),
     ),
-    gps_fix=6,
-    airspeed_measured=True,
     home_quaternion=(math.nan, math.nan, math.nan, math.nan),
     # 97 to 90 in 30 s of hover
     battery=BatteryProfile(full=97, drain_per_s=0.23, least=0, cells=3, full_cell_v=4.2, empty_cell_v=3.3),

@@ -24,7 +24,7 @@ from sitl_mock.protocol import commands, services, telemetry
 from sitl_mock.protocol.commands import Command, acknowledgement
 from sitl_mock.protocol.dialect import Dialect, Strategy
 from sitl_mock.protocol.layouts import layout
-from sitl_mock.protocol.rows import ROW_BUILDERS, RowBuilder, Rows, Scene, local_position
+from sitl_mock.protocol.rows import ROW_BUILDERS, RowBuilder, Rows, Scene, gps_raw, local_position, vfr_hud
 
 _MAIN_AUTO = 4
 _KNOWN_MAIN_MODES = frozenset(range(1, 9))
@@ -276,6 +276,8 @@ STRATEGY = Strategy(
         row_builders=MappingProxyType(
             dict(ROW_BUILDERS)
             | {
+                "GPS_RAW_INT": RowBuilder(gps_raw(fix_type=3)),
+                "VFR_HUD": RowBuilder(vfr_hud(airspeed_measured=False)),
                 "LOCAL_POSITION_NED": RowBuilder(local_position),  # sent before there is a position
                 "POSITION_TARGET_LOCAL_NED": RowBuilder(_position_target),
             }

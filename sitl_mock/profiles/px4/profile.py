@@ -134,8 +134,6 @@ PROFILE = AutopilotProfile(
         unknown_request=CommandResult.DENIED,
         unknown_query=(-1, CommandResult.ACCEPTED),
     ),
-    gps_fix=3,
-    airspeed_measured=False,
     home_quaternion=(1.0, 0.0, 0.0, 0.0),
     # 74 after half a minute armed
     battery=BatteryProfile(full=100, drain_per_s=0.9, least=50, cells=4, full_cell_v=4.05, empty_cell_v=3.5),
