@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from sitl_mock import profiles
@@ -108,7 +109,8 @@ def _add_sockets(parser: argparse.ArgumentParser) -> None:
         help="vehicle k listens on PORT+k, and 3990 lower for each further remote; 0: on any free ports "
         "(default: 18570 for px4, 0 for ardupilot)",
     )
-    add("--with-parent", action="store_true", help="exit when standard input ends")
+    add("--with-parent", action="store_true", help="exit when standard input ends; lines there tell stages: stage hold")
+    add("--truth", type=Path, metavar="FILE", help="write what vehicles truly hit, and how close they came, as JSON")
 
 
 def _add_trouble(parser: argparse.ArgumentParser) -> None:
@@ -229,6 +231,7 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
         real_boot=arguments.real_boot,
         wind_m_s=arguments.wind,
         targets=targets,
+        truth=arguments.truth,
         dynamics=arguments.dynamics,
         lockstep=arguments.lockstep,
         faults=tuple(_read("--fault", parse_fault, text) for text in arguments.fault or ()),

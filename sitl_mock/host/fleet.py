@@ -16,6 +16,7 @@ from sitl_mock.autopilot.autopilot import Autopilot, Setup
 from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.autopilot.profile import AutopilotProfile, Manners
 from sitl_mock.autopilot.table import VehicleTable, vec3
+from sitl_mock.faults.incidents import Incidents
 from sitl_mock.faults.schema import FaultOptions, check_vehicles
 from sitl_mock.faults.vehicle_faults import FaultSchedule, Stages, Subject
 from sitl_mock.host.vehicle import Vehicle
@@ -151,9 +152,11 @@ class Fleet:
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
         self._tuned = [0] * len(self.vehicles)  # how many changes of parameters the control law knows
         self._rests_until_s = [0.0] * len(self.vehicles)
-        self.stages = Stages([vehicle.autopilot for vehicle in self.vehicles])
+        autopilots = [vehicle.autopilot for vehicle in self.vehicles]
+        self.stages = Stages(autopilots)
         subjects = [Subject(k, v.autopilot, self.swarm.disturbances) for k, v in enumerate(self.vehicles)]
         self._faults = FaultSchedule(options.faults, subjects, self.stages)
+        self.incidents = Incidents(self.swarm, autopilots, self.physics.body)
         self._step = 0
         self._scene: Scene | None = None  # the newest
 
@@ -175,6 +178,10 @@ class Fleet:
             self.swarm.step()
             self._step += 1
             self._scene = None
+            if self._step % self.physics.time.logic_steps == 0:
+                for k in self.incidents.look(self.physics.time.logic_steps * self.physics.time.step_s):
+                    self._rests_until_s[k] = self.swarm.time_s
+                    self._command(k)
         return sent
 
     def receive(self, vehicle: int, link: int, data: bytes, now_s: float) -> list[Sent]:

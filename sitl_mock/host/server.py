@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import asyncio
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sitl_mock.faults.impairments import FROM_VEHICLE, TO_VEHICLE, Impairments
+from sitl_mock.faults.incidents import write_truth
 from sitl_mock.faults.schema import ImpairmentOptions, check_vehicles
 from sitl_mock.host.clock import SimulatedClock
 from sitl_mock.host.fleet import Fleet, FleetOptions, Sent, check_system_ids
@@ -74,6 +77,7 @@ class SimulatorOptions(FleetOptions):
         lockstep: time stands still at first, and goes as commands say, see `TIME_COMMAND`.
         targets: vehicles to be followed; their ports come after those of the vehicles.
         impairments: of the links of vehicles and targets, see `sitl_mock.parse_impairment`.
+        truth: a JSON file for what vehicles truly hit and how close they came; written at each incident and at the end.
 
     Raises:
         ValueError: options that contradict each other or mean nothing; one line that says which.
@@ -85,6 +89,7 @@ class SimulatorOptions(FleetOptions):
     lockstep: bool = False
     targets: tuple[TargetOptions, ...] = ()
     impairments: tuple[ImpairmentOptions, ...] = ()
+    truth: Path | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -184,6 +189,7 @@ class Simulator:
         links = len(options.remotes)
         self._impairments = Impairments(options.impairments, options.all_ids, links, self.fleet.stages, options.seed)
         self._ports: list[list[_Port]] = []  # [vehicle, then target][link]
+        self._written = 0  # incidents
         self._delivery: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None  # once it was started
         self._clock: SimulatedClock | None = None  # likewise
@@ -229,6 +235,8 @@ class Simulator:
     async def close(self) -> None:
         """Stop time and close every socket; once is enough, more do no harm."""
         self._cancel_timers()
+        if self._loop is not None:
+            self._write_truth()
         for ports in self._ports:
             for port in ports:
                 port.close()
@@ -371,11 +379,20 @@ class Simulator:
 
     def _say_what_is_due(self) -> None:
         now_s = self._advance()
+        if len(self.fleet.incidents.found) > self._written:
+            self._write_truth()
         self._send(self.fleet.telemetry(now_s), now_s)
         first = len(self.fleet.vehicles)
         self._send([Sent(first + row, link, data) for row, link, data in self.targets.telemetry(now_s)], now_s)
         if self._impairments.next_s is not None:
             self._deliver(now_s)
+
+    def _write_truth(self) -> None:
+        """Write down what was seen; a disk that takes nothing more stops no vehicle."""
+        self._written = len(self.fleet.incidents.found)
+        if self.options.truth is not None:
+            with suppress(OSError):
+                write_truth(self.options.truth, self.fleet.incidents)
 
     def _schedule_tick(self) -> None:
         """The next tick at an absolute deadline: late ticks are left out, never queued."""

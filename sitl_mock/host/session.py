@@ -8,6 +8,7 @@ import signal
 import stat
 import sys
 
+from sitl_mock.faults.schema import FLIGHT_STAGES
 from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
 
 PORT_UNAVAILABLE = 2  # exit code
@@ -30,7 +31,7 @@ async def _simulate(options: SimulatorOptions, with_parent: bool) -> int:
         loop.add_signal_handler(number, ended.set)
     try:
         async with Simulator(options) as simulator:
-            watcher = asyncio.create_task(_watch_parent(ended)) if with_parent else None
+            watcher = asyncio.create_task(_watch_parent(simulator, ended)) if with_parent else None
             sys.stdout.write(ready_line(simulator) + "\n")
             sys.stdout.flush()
             await ended.wait()
@@ -39,8 +40,18 @@ async def _simulate(options: SimulatorOptions, with_parent: bool) -> int:
     except PortUnavailable as error:
         sys.stderr.write(f"sitl_mock: {error}\n")
         return PORT_UNAVAILABLE
+    for incident in simulator.fleet.incidents.found:
+        sys.stderr.write(f"sitl_mock: {incident}\n")
     sys.stderr.write(closing_line(simulator.counters))
     return 0
+
+
+async def _line(reader: asyncio.StreamReader) -> bytes:
+    """The next line, or what there is of one that is too long; empty at the end."""
+    try:
+        return await reader.readline()
+    except ValueError:  # longer than the reader's buffer
+        return await reader.read(CHUNK_BYTES)
 
 
 def ready_line(simulator: Simulator) -> str:
@@ -64,8 +75,8 @@ def closing_line(counters: Counters) -> str:
     return f"sitl_mock: {'; '.join(lines)}\n" if lines else ""
 
 
-async def _watch_parent(ended: asyncio.Event) -> None:
-    """Set `ended` when standard input reaches its end: the parent has ended, or wants this process to end."""
+async def _watch_parent(simulator: Simulator, ended: asyncio.Event) -> None:
+    """Read what the parent tells, and set `ended` when it tells nothing more: it has ended, or wants this to end."""
     if not (sys.stdin.isatty() or stat.S_ISFIFO(mode := os.fstat(sys.stdin.fileno()).st_mode) or stat.S_ISSOCK(mode)):
         ended.set()  # a file or /dev/null: no parent is at the other end, and it cannot be waited for
         return
@@ -73,8 +84,10 @@ async def _watch_parent(ended: asyncio.Event) -> None:
     loop = asyncio.get_running_loop()
     transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     try:
-        while await reader.read(CHUNK_BYTES):
-            pass
+        while line := await _line(reader):
+            word, _, stage = line.decode("utf-8", "replace").strip().partition(" ")
+            if word == "stage" and stage in FLIGHT_STAGES:
+                simulator.begin_stage(stage)
     finally:
         transport.close()
     ended.set()

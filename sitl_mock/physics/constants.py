@@ -25,6 +25,8 @@ class BodyLimits:
 
     speed_m_s: float  # [m/s] norm
     acceleration_m_s2: float  # [m/s^2] norm
+    width_m: float  # [m]
+    strike_m_s: float  # [m/s]
 
 
 @dataclass(frozen=True, slots=True)
