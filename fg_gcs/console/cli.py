@@ -97,6 +97,24 @@ def _add_fly(commands: Commands) -> None:
     fly.add_argument(
         "--autopilot", choices=("px4", "ardupilot"), help="which autopilot the simulator plays, whatever the file says"
     )
+    fly.add_argument(
+        "--dynamics",
+        choices=("paper", "measured"),
+        help="how simulated vehicles fly: as the paper's particle, or as the real autopilots were measured to",
+    )
+    fly.add_argument(
+        "--fault",
+        action="append",
+        metavar="JSON",
+        help="something that goes wrong inside simulated vehicles, as in [[simulator.faults]] of a mission; repeat for "
+        "more (kinds and keys: fg-gcs sim --list-faults)",
+    )
+    fly.add_argument(
+        "--impair",
+        action="append",
+        metavar="JSON",
+        help="something that goes wrong on their links, as in [[simulator.impairments]]; repeat for more",
+    )
     fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
 
@@ -259,6 +277,26 @@ def _run(chosen: argparse.Namespace) -> int:
             return run(chosen)
 
 
+def _tables(option: str, texts: Sequence[str] | None) -> tuple[dict[str, object], ...]:
+    """Return the JSON objects that an option was given.
+
+    Raises:
+        MissionError: a text is none.
+    """
+    from fg_gcs.errors import MissionError
+
+    tables = []
+    for number, text in enumerate(texts or (), start=1):
+        try:
+            table = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise MissionError(f"{option} {number}: not a JSON object: {error}") from error
+        if not isinstance(table, dict):
+            raise MissionError(f"{option} {number}: not a JSON object")
+        tables.append(table)
+    return tuple(tables)
+
+
 def _fly(chosen: argparse.Namespace) -> int:
     """Fly missions one after the other, until one is not completed."""
     from fg_gcs.console.codes import ExitCode
@@ -266,7 +304,13 @@ def _fly(chosen: argparse.Namespace) -> int:
     from fg_gcs.run.flying import FlyOptions
 
     options = FlyOptions(
-        connect=tuple(chosen.connect or ()), wait_s=chosen.wait, autopilot=chosen.autopilot, logs=chosen.logs
+        connect=tuple(chosen.connect or ()),
+        wait_s=chosen.wait,
+        autopilot=chosen.autopilot,
+        dynamics=chosen.dynamics,
+        faults=_tables("--fault", chosen.fault),
+        impairments=_tables("--impair", chosen.impair),
+        logs=chosen.logs,
     )
     manner = Manner(chosen.speed, chosen.json)
     codes = (fly(path, options, manner) for path in chosen.missions)

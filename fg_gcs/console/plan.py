@@ -14,6 +14,7 @@ from fg_gcs.plan.compiled import is_built
 from fg_gcs.record.write.recorder import plain
 from fg_gcs.run import planning, reporting
 from fg_gcs.run.planning import PlannedMission
+from fg_gcs.run.simulators import check_simulator, wish_of
 
 
 def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> ExitCode:
@@ -45,6 +46,7 @@ def check(paths: Sequence[Path]) -> ExitCode:
             mission = load_mission(path)
             tell_if_not_built([mission])
             planning.plan(mission)
+            check_simulator(mission, wish_of(mission))
         except FgError as error:
             print(error, file=sys.stderr)
             bad = True

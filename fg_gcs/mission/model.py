@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, PrivateAttr
@@ -268,6 +268,16 @@ class SimulatorTable(MissionTable):
     seed: int = Field(default=0, ge=0, description="a whole number, 0 or more (default 0)")
     wind_m_s: NotNegative = Field(
         default=0.0, description="a number of metres a second, 0 or more, the mean wind (default 0)"
+    )
+    dynamics: Literal["paper", "measured"] = Field(
+        default="paper", description='"paper" or "measured": as the real autopilots fly (default "paper")'
+    )
+    strict_commands: bool = Field(default=False, description="true or false (default false)")
+    new_partner: bool = Field(default=False, description="true or false (default false)")
+    parameter_freeze: bool = Field(default=False, description="true or false (default false)")
+    faults: list[dict[str, Any]] = Field(default=[], description="tables [[simulator.faults]], see missions/README.md")
+    impairments: list[dict[str, Any]] = Field(
+        default=[], description="tables [[simulator.impairments]], see missions/README.md"
     )
 
 

@@ -27,8 +27,8 @@ from fg_gcs.record.read.run import RunError
 from fg_gcs.record.report.report import write_report
 from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder
 from fg_gcs.run.observing import Audience, Observer
-from fg_gcs.run.simulators import free_port, simulated
-from fg_gcs.run.summary import summary_of
+from fg_gcs.run.simulators import TRUTH, SimulatorWish, check_simulator, free_port, simulated, wish_of
+from fg_gcs.run.summary import read_truth, summary_of
 from fg_gcs.scenario.motions import TrueMotion
 
 VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time no other program is there
@@ -47,6 +47,9 @@ class FlyOptions:
             else the built-in simulator is started.
         wait_s: how long to wait for the vehicles' first heartbeats [s].
         autopilot: which one the simulator plays, ``px4`` or ``ardupilot``; None: as the mission says.
+        dynamics: how simulated vehicles fly, ``paper`` or ``measured``; None: as the mission says.
+        faults: what goes wrong inside simulated vehicles, tables as `[[simulator.faults]]`, beside the mission's.
+        impairments: likewise on their links, as `[[simulator.impairments]]`.
         motions: true motions by the names of targets, in place of the mission's; its sensors see them.
         sightings: sources of sightings by the names of targets, in place of the mission's.
         logs: the run's folder is made in here.
@@ -60,6 +63,9 @@ class FlyOptions:
     connect: tuple[str, ...] = ()
     wait_s: float = 30.0
     autopilot: str | None = None
+    dynamics: str | None = None
+    faults: Sequence[Mapping[str, object]] = ()
+    impairments: Sequence[Mapping[str, object]] = ()
     motions: Mapping[str, TrueMotion] = field(default_factory=dict)
     sightings: Mapping[str, OwnSightings] = field(default_factory=dict)
     logs: Path = Path("logs")
@@ -112,8 +118,12 @@ class RunResult:
 
     @property
     def in_order(self) -> bool:
-        """Whether the record is complete and every vehicle is known to be on the ground, motors off."""
-        return self.summary["recording_complete"] is True and not self.summary["vehicles_not_down"]
+        """Whether the record is complete, and every vehicle is known to be on the ground, motors off, and hit nothing.
+
+        What simulated vehicles hit is known from the truth; of others it is not known.
+        """
+        hit = self.summary["collisions"] or self.summary["ground_strikes"]
+        return self.summary["recording_complete"] is True and not self.summary["vehicles_not_down"] and not hit
 
 
 async def fly(mission: Mission, options: FlyOptions | None = None, observers: Sequence[Observer] = ()) -> RunResult:
@@ -134,6 +144,10 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
     """
     chosen = options or FlyOptions()
     networks = _networks(mission, chosen)
+    wish = None
+    if not networks:
+        wish = wish_of(mission, chosen.autopilot, chosen.dynamics, chosen.faults, chosen.impairments)
+        check_simulator(mission, wish)
     loop = asyncio.get_running_loop()
     await asyncio.to_thread(prepare, mission)
     folder = _folder(mission, chosen)
@@ -145,7 +159,7 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
         audience = await stack.enter_async_context(
             Audience.open(observers, recorder, folder if chosen.serve_snapshots and not virtual else None)
         )
-        director, error = await _flown(mission, chosen, networks, recorder, audience)
+        director, error = await _flown(mission, chosen, networks, wish, recorder, audience)
         result = await asyncio.to_thread(_finished, mission, chosen, director, error, recorder, loop.time())
     if isinstance(error, asyncio.CancelledError):
         raise error
@@ -251,13 +265,18 @@ def _recorder(folder: Path, mission: Mission, start_s: float, epoch_s: float, *,
 
 
 async def _flown(
-    mission: Mission, options: FlyOptions, networks: Networks, recorder: Recorder, audience: Audience
+    mission: Mission,
+    options: FlyOptions,
+    networks: Networks,
+    wish: SimulatorWish | None,
+    recorder: Recorder,
+    audience: Audience,
 ) -> tuple[Director, Exception | asyncio.CancelledError | None]:
     """Fly; return the flight's handle, and the exception that ended it if one did."""
     loop = asyncio.get_running_loop()
     async with AsyncExitStack() as stack:
         try:
-            setup = await stack.enter_async_context(_surroundings(mission, options, networks, recorder))
+            setup = await stack.enter_async_context(_surroundings(mission, options, networks, wish, recorder))
         except FgError as error:  # the simulator did not start
             recorder.event(loop.time(), "error", str(error))
             return Director(mission, Setup(networks, 0.0, True, time.perf_counter), recorder), error
@@ -299,7 +318,7 @@ async def _unhurt(director: Director) -> None:
 
 @asynccontextmanager
 async def _surroundings(
-    mission: Mission, options: FlyOptions, networks: Networks, recorder: Recorder
+    mission: Mission, options: FlyOptions, networks: Networks, wish: SimulatorWish | None, recorder: Recorder
 ) -> AsyncIterator[Setup]:
     """Start what has to be simulated; yield how the flight is connected to it.
 
@@ -308,13 +327,18 @@ async def _surroundings(
     """
     loop = asyncio.get_running_loop()
     virtual = math.isinf(speed_of(loop))
-    autopilot = options.autopilot or mission.simulator.autopilot
     port, targets_port = (VIRTUAL_PORT, VIRTUAL_TARGETS_PORT) if virtual else (free_port(), free_port())
-    own = not networks
-    if own:
-        text = f"starting {mission.swarm.vehicles} simulated {autopilot} vehicles"
+    own = wish is not None
+    if wish is not None:
+        text = f"starting {mission.swarm.vehicles} simulated {wish.autopilot} vehicles"
         recorder.event(loop.time(), "simulator", text)
-    async with simulated(mission, autopilot if own else None, port, targets_port, recorder.folder):
+    async with simulated(mission, wish, port, targets_port, recorder.folder) as simulators:
+
+        def told(_: float, kind: str, text: str) -> None:
+            if kind == "stage":
+                simulators.begin_stage(text)
+
+        recorder.listeners.append(told)
         yield Setup(
             parse_networks([f"udpin:127.0.0.1:{port}"]) if own else networks,
             options.wait_s,
@@ -336,7 +360,10 @@ def _finished(
     flight = director.result
     error = ended_by if isinstance(ended_by, Exception) else None
     reason = flight.reason if error is None else str(error) or repr(error)
-    summary = recorder.finish(summary_of(mission, flight, recorder, reason))
+    truth = read_truth(recorder.folder / TRUTH)
+    for text in truth.told:
+        recorder.event(now_s, "truth", text)
+    summary = recorder.finish(summary_of(mission, flight, recorder, reason) | truth.figures)
     if options.write_report:
         try:
             write_report(recorder.folder)

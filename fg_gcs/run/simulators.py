@@ -1,6 +1,7 @@
 """Starts the built-in simulator for a flight, and another one for target vehicles.
 
-In real time each is a process of its own, in virtual time a part of the loop.
+In real time each is a process of its own, in virtual time a part of the loop. What goes wrong in them on purpose is
+theirs to understand: `check_simulator` asks them before a flight begins.
 """
 
 from __future__ import annotations
@@ -13,18 +14,108 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager, contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
-from fg_gcs.errors import LinkError
+from fg_gcs.errors import LinkError, MissionError
 from fg_gcs.link.clock import speed_of
 from fg_gcs.mission.model import Mission
 from fg_gcs.mission.target_tables import VehicleSource
+from sitl_mock import Simulator, SimulatorOptions, parse_fault, parse_impairment, parse_target
+from sitl_mock.autopilot.profile import Manners
 
 READY_S = 20.0  # it needs one second; the rest is for a machine that is busy with other things
 STOP_S = 5.0  # to close its sockets after its input has ended
+TRUTH = "simulated.json"  # in the run's folder: what vehicles truly hit, and how close they came
+OPTIONS = {"faults": "--fault", "impairments": "--impair"}
+NOTHING: dict[str, Any] = {"faults": (), "impairments": ()}
+MANNERS = ("strict_commands", "new_partner", "parameter_freeze")  # keys of [simulator] that the simulator calls alike
+
+
+@dataclass(frozen=True)
+class SimulatorWish:
+    """How simulated vehicles are, as a mission and the options of a flight say together.
+
+    Attributes:
+        autopilot: which one they play.
+        dynamics: how they fly.
+        faults: tables of what goes wrong inside them, as the simulator reads them.
+        impairments: likewise, on their links.
+    """
+
+    autopilot: str
+    dynamics: str
+    faults: tuple[Mapping[str, object], ...] = ()
+    impairments: tuple[Mapping[str, object], ...] = ()
+
+
+def wish_of(
+    mission: Mission,
+    autopilot: str | None = None,
+    dynamics: str | None = None,
+    faults: Sequence[Mapping[str, object]] = (),
+    impairments: Sequence[Mapping[str, object]] = (),
+) -> SimulatorWish:
+    """Return how a mission's simulated vehicles are, with what is given in place of, or beside, what it says itself."""
+    tables = mission.simulator
+    return SimulatorWish(
+        autopilot or tables.autopilot,
+        dynamics or tables.dynamics,
+        (*tables.faults, *faults),
+        (*tables.impairments, *impairments),
+    )
+
+
+def check_simulator(mission: Mission, wanted: SimulatorWish) -> None:
+    """Let the simulator read everything that it will be asked for.
+
+    Raises:
+        MissionError: it cannot be; says which table is at fault, and how.
+    """
+    tables = mission.simulator
+    for name, parse, own, all_tables in (
+        ("faults", parse_fault, tables.faults, wanted.faults),
+        ("impairments", parse_impairment, tables.impairments, wanted.impairments),
+    ):
+        for number, table in enumerate(all_tables, start=1):
+            more = number - len(own)
+            where = f"{mission.path}: [[simulator.{name}]] {number}" if more <= 0 else f"{OPTIONS[name]} {more}"
+            try:
+                parse(table)
+                options_of(mission, replace(wanted, **{**NOTHING, name: (table,)}), 0, None)
+            except ValueError as error:
+                raise MissionError(f"{where}: {error}") from error
+    try:
+        options_of(mission, replace(wanted, **NOTHING), 0, None)
+    except ValueError as error:
+        raise MissionError(f"{mission.path}: [simulator]: {error}") from error
+
+
+def options_of(mission: Mission, wanted: SimulatorWish, port: int, truth: Path | None) -> SimulatorOptions:
+    """Return what a mission wants to be simulated, sent to a port of the loopback.
+
+    Raises:
+        ValueError: it contradicts itself; says how.
+    """
+    return SimulatorOptions(
+        autopilot=wanted.autopilot,
+        pads_enu_m=tuple((x, y) for x, y in mission.pads_enu_m().tolist()),
+        system_ids=mission.swarm.ids(),
+        remotes=(("127.0.0.1", port),),
+        port_base=0,
+        origin_deg_m=(*mission.origin_geodetic(),),
+        seed=mission.simulator.seed,
+        wind_m_s=mission.simulator.wind_m_s,
+        dynamics=wanted.dynamics,
+        manners=Manners(**{name: getattr(mission.simulator, name) for name in MANNERS}),
+        faults=tuple(map(parse_fault, wanted.faults)),
+        impairments=tuple(map(parse_impairment, wanted.impairments)),
+        truth=truth,
+    )
 
 
 def free_port() -> int:
@@ -35,64 +126,89 @@ def free_port() -> int:
         return port
 
 
+class Simulators:
+    """The simulators that a flight has running, as far as it has to do with them.
+
+    Attributes:
+        truth: the file that says, once the vehicles' simulator has ended, what they truly hit; None: they are real.
+    """
+
+    def __init__(self, truth: Path | None) -> None:
+        self.truth = truth
+        self._tell: Callable[[str], None] | None = None
+
+    def begin_stage(self, stage: str) -> None:
+        """Let faults and impairments know that the flight has come to a stage."""
+        if self._tell is not None:
+            self._tell(stage)
+
+    def listen(self, tell: Callable[[str], None]) -> None:
+        """Tell stages to a simulator from now on."""
+        self._tell = tell
+
+
 @asynccontextmanager
 async def simulated(
-    mission: Mission, autopilot: str | None, port: int, targets_port: int, folder: Path
-) -> AsyncIterator[None]:
+    mission: Mission, wanted: SimulatorWish | None, port: int, targets_port: int, folder: Path
+) -> AsyncIterator[Simulators]:
     """Run all that a mission has simulated: its vehicles, and its target vehicles.
 
     In virtual time they share the running loop; otherwise each is a process of its own, as fast as the loop's time.
 
     Args:
         mission: whose.
-        autopilot: which one the vehicles play, ``px4`` or ``ardupilot``; None: they are real.
+        wanted: how the vehicles are; None: they are real.
         port: of the loopback, where the vehicles come.
         targets_port: likewise, of the target vehicles.
-        folder: the processes' own words go here.
+        folder: the processes' own words go here, and the truth.
 
     Raises:
         LinkError: a simulator did not start; says why.
     """
     speed = speed_of(asyncio.get_running_loop())
+    simulators = Simulators(None if wanted is None else folder / TRUTH)
     async with AsyncExitStack() as stack:
         if math.isinf(speed):
-            if autopilot is not None:
-                await stack.enter_async_context(simulator_in_loop(mission, autopilot, port))
+            if wanted is not None:
+                options = options_of(mission, wanted, port, folder / TRUTH)
+                simulator = await stack.enter_async_context(Simulator(options))
+                simulators.listen(simulator.begin_stage)
             await stack.enter_async_context(targets_in_loop(mission, targets_port))
         else:
-            if autopilot is not None:
+            if wanted is not None:
                 log = folder / "simulator.log"
-                await _beside(stack, simulator_process(mission, autopilot, port, speed, log))
+                arguments = _arguments(mission, wanted, port, speed, folder / TRUTH)
+                process = await _beside(stack, _process(arguments, log))
+                simulators.listen(partial(_tell_stage, process))
             await _beside(stack, targets_process(mission, targets_port, speed, folder / "targets.log"))
-        yield
+        yield simulators
 
 
-async def _beside(stack: AsyncExitStack, process: AbstractContextManager[None]) -> None:
+def _tell_stage(process: subprocess.Popen[bytes], stage: str) -> None:
+    """Tell a simulator's process of a stage; one that has ended hears nothing."""
+    assert process.stdin is not None
+    with suppress(OSError, ValueError):
+        process.stdin.write(f"stage {stage}\n".encode())
+        process.stdin.flush()
+
+
+Entered = TypeVar("Entered")
+
+
+async def _beside(stack: AsyncExitStack, process: AbstractContextManager[Entered]) -> Entered:
     """Enter a context of the stack whose beginning and end take a while, without holding the loop up."""
-    await asyncio.to_thread(process.__enter__)
+    entered = await asyncio.to_thread(process.__enter__)
 
     async def leave(*error: Any) -> None:  # noqa: ANN401 - what any context manager is told
         await asyncio.to_thread(process.__exit__, *error)
 
     stack.push_async_exit(leave)
-
-
-@contextmanager
-def simulator_process(mission: Mission, autopilot: str, port: int, speed: float, log: Path) -> Iterator[None]:
-    """Run the simulator beside us; it ends with this context, or with our process, whatever ends that.
-
-    It has a session of its own: a Ctrl-C in the terminal is for the ground station, which still needs the vehicles.
-
-    Raises:
-        LinkError: it did not start; says why.
-    """
-    with _process(_arguments(mission, autopilot, port, speed), log):
-        yield
+    return entered
 
 
 @contextmanager
 def targets_process(mission: Mission, port: int, speed: float, log: Path) -> Iterator[None]:
-    """Run the mission's simulated target vehicles beside us, likewise; nothing if it has none.
+    """Run the mission's simulated target vehicles beside us; nothing if it has none.
 
     Args:
         mission: whose targets; they move from now on.
@@ -113,8 +229,10 @@ def targets_process(mission: Mission, port: int, speed: float, log: Path) -> Ite
 
 
 @contextmanager
-def _process(arguments: Sequence[str], log: Path) -> Iterator[None]:
-    """Run a simulator of its own.
+def _process(arguments: Sequence[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a simulator of its own; it ends with this context, or with our process, whatever ends that.
+
+    It has a session of its own: a Ctrl-C in the terminal is for the ground station, which still needs the vehicles.
 
     Raises:
         LinkError: it did not start; says why.
@@ -130,9 +248,10 @@ def _process(arguments: Sequence[str], log: Path) -> Iterator[None]:
         if not _first_line(process.stdout, READY_S).startswith(b"ready"):
             said = log.read_text().strip().splitlines()
             raise LinkError(f"the simulator did not start: {said[-1] if said else 'it said nothing'}")
-        yield
+        yield process
     finally:
-        process.stdin.close()
+        with suppress(OSError):  # what was not told yet, a process that has ended need not know
+            process.stdin.close()
         try:
             process.wait(STOP_S)
         except subprocess.TimeoutExpired:
@@ -142,53 +261,21 @@ def _process(arguments: Sequence[str], log: Path) -> Iterator[None]:
 
 
 @asynccontextmanager
-async def simulator_in_loop(mission: Mission, autopilot: str, port: int) -> AsyncIterator[None]:
-    """Run the simulator on the running event loop: in virtual time both share one clock and one thread."""
-    from sitl_mock.host.server import Simulator, SimulatorOptions
-
-    simulator = Simulator(
-        SimulatorOptions(
-            autopilot=autopilot,
-            pads_enu_m=tuple((x, y) for x, y in mission.pads_enu_m().tolist()),
-            system_ids=mission.swarm.ids(),
-            remotes=(("127.0.0.1", port),),
-            port_base=0,
-            origin_deg_m=(*mission.origin_geodetic(),),
-            seed=mission.simulator.seed,
-            wind_m_s=mission.simulator.wind_m_s,
-        )
-    )
-    await simulator.start()
-    try:
-        yield
-    finally:
-        await simulator.close()
-
-
-@asynccontextmanager
 async def targets_in_loop(mission: Mission, port: int) -> AsyncIterator[None]:
     """Run the mission's simulated target vehicles on the running event loop; nothing if it has none."""
-    from sitl_mock.host.server import Simulator, SimulatorOptions
-    from sitl_mock.host.targets import parse_target
-
     targets = tuple(parse_target(json.dumps(target)) for target in _targets(mission))
     if not targets:
         yield
         return
-    simulator = Simulator(
-        SimulatorOptions(
-            pads_enu_m=(),
-            system_ids=(),
-            remotes=(("127.0.0.1", port),),
-            origin_deg_m=(*mission.origin_geodetic(),),
-            targets=targets,
-        )
+    options = SimulatorOptions(
+        pads_enu_m=(),
+        system_ids=(),
+        remotes=(("127.0.0.1", port),),
+        origin_deg_m=(*mission.origin_geodetic(),),
+        targets=targets,
     )
-    await simulator.start()
-    try:
+    async with Simulator(options):
         yield
-    finally:
-        await simulator.close()
 
 
 def _targets(mission: Mission) -> list[dict[str, object]]:
@@ -206,18 +293,22 @@ def _targets(mission: Mission) -> list[dict[str, object]]:
     return found
 
 
-def _arguments(mission: Mission, autopilot: str, port: int, speed: float) -> list[str]:
+def _arguments(mission: Mission, wanted: SimulatorWish, port: int, speed: float, truth: Path) -> list[str]:
     pads = " ".join(f"{x:.6f},{y:.6f}" for x, y in mission.pads_enu_m())
     values = {
         **_common(mission, port, speed),
         "vehicles": mission.swarm.vehicles,
-        "autopilot": autopilot,
+        "autopilot": wanted.autopilot,
         "pads": pads,
         "system-ids": ",".join(str(system_id) for system_id in mission.swarm.ids()),
         "seed": mission.simulator.seed,
         "wind": mission.simulator.wind_m_s,
+        "dynamics": wanted.dynamics,
+        "truth": truth,
     }
-    return _options(values)
+    switches = [f"--{name.replace('_', '-')}" for name in MANNERS if getattr(mission.simulator, name)]
+    faults = [f"--fault={json.dumps(fault)}" for fault in wanted.faults]
+    return [*_options(values), *switches, *faults, *(f"--impair={json.dumps(each)}" for each in wanted.impairments)]
 
 
 def _common(mission: Mission, port: int, speed: float) -> dict[str, object]:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from typing import Final, NamedTuple
+
 import numpy as np
 
 from fg_gcs.flight.director import FlightResult
@@ -10,6 +14,36 @@ from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import plan_figures
 from fg_gcs.record.evaluate.evaluation import flown_figures
 from fg_gcs.record.write.recorder import REPORT, Recorder, plain
+
+TRUE_KEYS: Final = ("collisions", "ground_strikes", "true_min_separation_m", "true_min_separation_pair")
+
+
+class Truth(NamedTuple):
+    """What the simulator knows of its vehicles, and no telemetry says.
+
+    Attributes:
+        figures: by the names of the command line's JSON; None where vehicles are real.
+        told: a line for each incident.
+    """
+
+    figures: dict[str, object]
+    told: tuple[str, ...]
+
+
+def read_truth(path: Path) -> Truth:
+    """Read what a simulator wrote down at its end; nothing is known where there is no such file."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        incidents, closest = list(found["incidents"]), found["closest"]
+        figures: dict[str, object] = {
+            "collisions": [each for each in incidents if each["kind"] == "collision"],
+            "ground_strikes": [each for each in incidents if each["kind"] == "ground_strike"],
+            "true_min_separation_m": None if closest is None else closest["distance_m"],
+            "true_min_separation_pair": None if closest is None else closest["vehicles"],
+        }
+        return Truth(figures, tuple(str(each["text"]) for each in incidents))
+    except (OSError, ValueError, KeyError, TypeError):
+        return Truth(dict.fromkeys(TRUE_KEYS), ())
 
 
 def summary_of(mission: Mission, result: FlightResult, recorder: Recorder, reason: str) -> dict[str, object]:

@@ -302,6 +302,17 @@ def parse_impairment(table: Mapping[str, Any] | str) -> ImpairmentOptions:
     return ImpairmentOptions(window, values)
 
 
+def check_mode(fault: FaultOptions, modes: Sequence[str]) -> None:
+    """Refuse a fault with a mode that the autopilot does not have.
+
+    Raises:
+        ValueError: says which it has.
+    """
+    mode = fault.values.get("mode")
+    if mode is not None and mode not in modes:
+        raise ValueError(f"a fault of kind {fault.kind!r}: mode = {mode!r}; accepted: {', '.join(modes)}")
+
+
 def told() -> str:
     """All kinds and keys for people, a line each."""
     lines = ["keys of every fault and impairment:", *_told_keys(WINDOW), "", "kinds of faults, with their own keys:"]

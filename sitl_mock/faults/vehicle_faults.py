@@ -295,9 +295,6 @@ class FaultSchedule:
         faults: which.
         subjects: the vehicles, in the order of their rows.
         stages: when stages began.
-
-    Raises:
-        ValueError: a fault's mode is none of its vehicle's.
     """
 
     def __init__(self, faults: Sequence[FaultOptions], subjects: Sequence[Subject], stages: Stages) -> None:
@@ -308,7 +305,6 @@ class FaultSchedule:
             for subject in subjects:
                 if options.window.vehicles and subject.autopilot.system_id not in options.window.vehicles:
                     continue
-                _check_mode(options, subject.autopilot)
                 effect = EFFECTS[options.kind](options.values, subject)
                 self._waiting.append(_Running(options, effect))
         self._disturbances = subjects[0].disturbances if subjects else None
@@ -351,12 +347,6 @@ class FaultSchedule:
             still_active.append((running, since_s))
         self._active = still_active
         return touched
-
-
-def _check_mode(options: FaultOptions, vehicle: Autopilot) -> None:
-    mode = options.values.get("mode")
-    if mode is not None and mode not in vehicle.modes:
-        raise ValueError(f"a fault of kind 'taken_over': mode = {mode!r}; accepted: {', '.join(vehicle.modes)}")
 
 
 def _ned(vector_enu: tuple[float, float, float]) -> Array:

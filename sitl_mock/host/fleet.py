@@ -17,7 +17,7 @@ from sitl_mock.autopilot.guidance import BodyState
 from sitl_mock.autopilot.profile import AutopilotProfile, Manners
 from sitl_mock.autopilot.table import VehicleTable, vec3
 from sitl_mock.faults.incidents import Incidents
-from sitl_mock.faults.schema import FaultOptions, check_vehicles
+from sitl_mock.faults.schema import FaultOptions, check_mode, check_vehicles
 from sitl_mock.faults.vehicle_faults import FaultSchedule, Stages, Subject
 from sitl_mock.host.vehicle import Vehicle
 from sitl_mock.links import DUE_SLACK_S
@@ -86,6 +86,7 @@ class FleetOptions:
                 raise ValueError(f"{manner.name} is no manner of {self.autopilot}")
         for fault in self.faults:
             check_vehicles(fault.window, self.system_ids)
+            check_mode(fault, [mode.name for mode in profile_of(self.autopilot).modes])
 
 
 def check_system_ids(system_ids: Sequence[int]) -> None:
