@@ -69,6 +69,7 @@ COMMAND = np.dtype(
         ("since_s", np.float64),
         ("carry_s", np.float64),
         ("lapses", np.bool_),
+        ("planned", np.float64),  # 1: the autopilot's own target, which it approaches within acceleration and jerk
         ("speed_m_s", np.float64),
         ("climb_m_s", np.float64),
         ("descent_m_s", np.float64),

@@ -49,6 +49,7 @@ class Commands:
         self.since_s: Array = self.table["since_s"]
         self.carry_s: Array = self.table["carry_s"]
         self.lapses: NDArray[np.bool_] = self.table["lapses"]
+        self.planned: Array = self.table["planned"]  # 0 or 1
         self.speed_m_s: Array = self.table["speed_m_s"]
         self.climb_m_s: Array = self.table["climb_m_s"]
         self.descent_m_s: Array = self.table["descent_m_s"]
@@ -75,6 +76,7 @@ class Commands:
         self.since_s[row] = reference.since_s
         self.carry_s[row] = reference.carry_s
         self.lapses[row] = reference.lapses
+        self.planned[row] = reference.planned
         self.speed_m_s[row] = limits.speed_m_s
         self.climb_m_s[row] = limits.climb_m_s
         self.descent_m_s[row] = limits.descent_m_s
@@ -153,6 +155,12 @@ class Swarm:
 
     def step(self, steps: int = 1) -> None:
         """Advance every vehicle by a number of physics steps; what is commanded does not change meanwhile."""
+        if len(self._state):
+            self._advance(steps)
+        self._steps += steps
+        self.time_s = self._steps * self.physics.time.step_s
+
+    def _advance(self, steps: int) -> None:
         from sitl_mock.physics import kernels  # loads the compiler: only where something flies
 
         tables = (self._state, self.commands.table, self.disturbances.table, self._models, self._world)
@@ -161,8 +169,6 @@ class Swarm:
             kernels.step_particles(*tables, self._steps, dt_s, steps)
         else:
             kernels.step_measured(*tables, LAWS.index(self.model.law), self._steps, dt_s, steps)
-        self._steps += steps
-        self.time_s = self._steps * dt_s
 
     def set_parameter(self, row: int, name: str, value: float) -> None:
         """Give a vehicle's control law or airframe the value of an autopilot's parameter, in the parameter's own unit.

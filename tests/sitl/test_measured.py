@@ -10,7 +10,7 @@ import pytest
 from sitl_mock import profiles
 from sitl_mock.physics.arrays import Array
 from sitl_mock.physics.flight_model import FlightModel, read_flight_model
-from sitl_mock.physics.reference import ALL, Reference, Vec3
+from sitl_mock.physics.reference import ALL, Limits, Reference, Vec3
 from sitl_mock.physics.swarm import Swarm
 from tests.sitl.tracking_runs import PHYSICS, command, quiet, quiet_swarm
 
@@ -119,6 +119,38 @@ def test_px4_turns_as_measured() -> None:
     taken_s = [DT_S * (1 + int(np.argmax(np.array(turned) > share))) for share in (0.5, 0.9)]
     assert taken_s == pytest.approx((0.66, 0.92), rel=0.2)
     assert max(turned) < 1.01
+
+
+def test_ardupilot_climbs_as_measured() -> None:
+    """NAV_TAKEOFF to 10 m: from 0.1 m 5.54 s to 9.5 m and 6.24 s to 9.9 m, at most 2.54 m/s, no overshoot."""
+    swarm = quiet_swarm("ardupilot", np.zeros((1, 3)))
+    command(swarm, 0, "ardupilot", Reference((0.0, 0.0, -10.0), position_used=ALL, yaw_rad=0.0))
+    true_m, _ = flown(swarm, 15.0, every=1)
+    heights_m = -true_m[:, 0, 2]
+    first_s, second_s, third_s = (DT_S * int(np.argmax(heights_m > height)) for height in (0.1, 9.5, 9.9))
+    assert (second_s - first_s, third_s - first_s) == pytest.approx((5.54, 6.24), rel=0.05)
+    assert np.diff(heights_m).max() / DT_S == pytest.approx(2.54, rel=0.05)
+    assert heights_m.max() < 10.05
+
+
+def test_px4_plans_the_way_to_its_own_targets() -> None:
+    """A client's step tilts to the limit at once; DO_REPOSITION by 10 m takes 6 s and keeps to PX4's own limits."""
+    fastest, steepest = {}, {}
+    for planned in (False, True):
+        swarm = quiet_swarm("px4", HIGH)
+        hold(swarm, "px4")
+        swarm.step(500)
+        step = Reference((10.0, 0.0, -10.0), position_used=ALL, yaw_rad=0.0, planned=planned)
+        swarm.commands.set(0, step, Limits(5.0, 3.0, 1.5, 3.0, 0.95), PHYSICS.tracking)
+        speeds, leans = [], []
+        for _ in range(800):
+            swarm.step()
+            speeds.append(float(swarm.velocity_m_s[0, 0]))
+            leans.append(float(np.abs(swarm.roll_pitch_rad).max()))
+        fastest[planned], steepest[planned] = max(speeds), max(leans)
+        assert swarm.position_m[0, 0] == pytest.approx(10.0, abs=0.8)
+    assert fastest[True] < 3.5 < fastest[False]
+    assert steepest[True] < 0.45 < steepest[False]
 
 
 def test_ardupilot_runs_on_until_its_timeout() -> None:
