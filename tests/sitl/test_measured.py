@@ -146,7 +146,7 @@ def test_px4_plans_the_way_to_its_own_targets() -> None:
         for _ in range(800):
             swarm.step()
             speeds.append(float(swarm.velocity_m_s[0, 0]))
-            leans.append(float(np.abs(swarm.roll_pitch_rad).max()))
+            leans.append(float(np.abs(swarm.pitch_rad[0])))
         fastest[planned], steepest[planned] = max(speeds), max(leans)
         assert swarm.position_m[0, 0] == pytest.approx(10.0, abs=0.8)
     assert fastest[True] < 3.5 < fastest[False]
@@ -223,7 +223,7 @@ def test_up_and_down_again(autopilot: str) -> None:
     swarm.step(300)
     np.testing.assert_allclose(swarm.position_m[:, 2], 0.0, atol=1e-6)
     np.testing.assert_allclose(swarm.velocity_m_s, 0.0, atol=1e-6)
-    assert np.abs(np.array(swarm.roll_pitch_rad)).max() == 0.0
+    assert np.abs((swarm.roll_rad, swarm.pitch_rad)).max() == 0.0
 
 
 def test_ardupilot_holds_in_wind_as_measured() -> None:
@@ -234,10 +234,33 @@ def test_ardupilot_holds_in_wind_as_measured() -> None:
     swarm.step(3000)
     true_m, _ = flown(swarm, swarm.time_s + 10.0)
     assert np.abs(true_m - places_m).max() < 0.05
-    roll, pitch = swarm.roll_pitch_rad
     drag_m_s2 = 8.0 * (0.243 + 0.0345 * 8.0)
-    assert pitch[0] == pytest.approx(-math.atan(drag_m_s2 / 9.80665), abs=0.01)
-    assert roll[0] == pytest.approx(0.0, abs=0.01)
+    assert swarm.pitch_rad[0] == pytest.approx(-math.atan(drag_m_s2 / 9.80665), abs=0.01)
+    assert swarm.roll_rad[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_attitude_is_that_of_the_thrust() -> None:
+    """Roll and pitch turn the upward axis of the body into the thrust, at any heading."""
+    random = np.random.default_rng(5)
+    swarm = Swarm(PHYSICS, np.array([(5.0 * k, 0.0, -30.0) for k in range(8)]), 0.0, random)
+    for row in range(8):
+        place: Vec3 = tuple(random.uniform(-20.0, 20.0, 3).tolist())
+        command(swarm, row, "px4", Reference(place, position_used=ALL, yaw_rad=random.uniform(-3.0, 3.0)))
+    swarm.commands.flying[:] = True
+    swarm.step(60)
+    thrust = swarm.acceleration_m_s2 - [0.0, 0.0, 9.80665]
+    roll, pitch, yaw = swarm.roll_rad, swarm.pitch_rad, swarm.yaw_rad
+    # Minus the third column of the rotation matrix of yaw, pitch, roll
+    up = -np.stack(
+        (
+            np.cos(yaw) * np.sin(pitch) * np.cos(roll) + np.sin(yaw) * np.sin(roll),
+            np.sin(yaw) * np.sin(pitch) * np.cos(roll) - np.cos(yaw) * np.sin(roll),
+            np.cos(pitch) * np.cos(roll),
+        ),
+        axis=1,
+    )
+    np.testing.assert_allclose(up, thrust / np.linalg.norm(thrust, axis=1)[:, None], atol=0.02)  # yaw has turned on
+    assert np.abs(roll).max() > 0.05
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
