@@ -383,6 +383,8 @@ def test_a_seed_is_a_flight_and_vehicles_do_not_disturb_each_other(autopilot: st
     def track(seed: int, vehicles: int, every: int) -> Array:
         swarm = real_swarm(autopilot, vehicles, seed, wind_m_s=3.0)
         hold(swarm, autopilot)
+        swarm.disturbances.gps_lost[1] = True
+        swarm.disturbances.estimate_noise_m[0] = 0.3
         return flown(swarm, 10.0, every)[0][-1, :2]
 
     assert track(1, 4, 10).tobytes() == track(1, 4, 10).tobytes()
