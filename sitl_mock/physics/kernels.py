@@ -463,12 +463,16 @@ def _gusts(s: Row, d: Row, k: Row, dt_s: float) -> None:
 
 
 @part
-def _move(s: Row, dt_s: float) -> None:
-    """The discrete dynamics: x+ = x + v dt + u dt^2 / 2, v+ = v + u dt."""
+def _move(s: Row, k: Row, dt_s: float) -> None:
+    """The discrete dynamics: x+ = x + v dt + u dt^2 / 2, v+ = v + u dt; and whether and how the ground is touched."""
     u = s.acceleration_m_s2
     for a in range(3):
         s.position_m[a] += s.velocity_m_s[a] * dt_s + u[a] * (0.5 * dt_s * dt_s)
         s.velocity_m_s[a] += u[a] * dt_s
+    contact = s.position_m[2] > -k.contact_m
+    if contact and not s.in_contact:
+        s.impact_m_s = _length(s.velocity_m_s)
+    s.in_contact = contact
 
 
 @part
@@ -561,11 +565,10 @@ def step_particles(
             _ground(s, c, k)
             if c.flying:
                 _limit_body_speed(s, k.body_speed_m_s, dt_s)
-            _move(s, dt_s)
+            _move(s, k, dt_s)
             _turn(s, c, m, dt_s)
             _drift(s, d, m, dt_s)
             _observe(s, d, dt_s)
-        s.in_contact = s.position_m[2] > -k.contact_m
 
 
 @kernel
@@ -587,9 +590,8 @@ def step_measured(
                 _gusts(s, d, k, dt_s)
             _airframe(s, c, d, m, dt_s)
             _ground(s, c, k)
-            _move(s, dt_s)
+            _move(s, k, dt_s)
             _turn(s, c, m, dt_s)
             _drift(s, d, m, dt_s)
             _wander(s, c, m, dt_s)
             _observe(s, d, dt_s)
-        s.in_contact = s.position_m[2] > -k.contact_m

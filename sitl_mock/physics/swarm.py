@@ -146,6 +146,7 @@ class Swarm:
         self.target_m: Array = self._state["target_m"]  # (V, 3) what the control law aims at
         self.target_m_s: Array = self._state["target_m_s"]  # (V, 3) velocity that it controls to
         self.in_contact: NDArray[np.bool_] = self._state["in_contact"]  # (V,) stands on the ground
+        self.impact_m_s: Array = self._state["impact_m_s"]  # (V,) speed at which it touched the ground last
         self.commands = Commands(vehicles)
         self.disturbances = Disturbances(vehicles)
         self.position_m[:] = self.estimated_position_m[:] = pads_ned_m

@@ -142,6 +142,7 @@ def test_fall_ends_on_the_ground() -> None:
         speeds.append(float(particles.velocity_m_s[0, 2]))
     assert max(speeds) == pytest.approx(math.sqrt(2.0 * GRAVITY_M_S2 * 10.0), rel=0.01)
     assert particles.position_m[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert particles.impact_m_s[0] == pytest.approx(max(speeds), rel=0.01)
 
 
 def test_target_runs_on_exactly_as_long_as_it_is_carried() -> None:
