@@ -91,7 +91,7 @@ class Guidance:
         self.takeoff_height_m = 0.0  # above the ground
         self.setpoint: Reference | None = None
         self._destination: Reference | None = None
-        self._limits: dict[tuple[float, float | None, float | None], Limits] = {}  # of these parameters
+        self._limits: dict[tuple[str, float | None, float | None], Limits] = {}  # of these parameters
         self._limits_of = -1
         self.home_m: tuple[float, float] = (0.0, 0.0)  # north, east
 
@@ -120,7 +120,10 @@ class Guidance:
 
     def followed(self) -> tuple[Reference, Limits] | None:
         """The newest setpoint, and the limits to fly it with; None: there is none to follow."""
-        return None if self.setpoint is None else (self.setpoint, self.limits(self._profile.step_gain_per_s))
+        if self.setpoint is None:
+            return None
+        profile = self._profile
+        return self.setpoint, self._kept((None, None), profile.speeds.horizontal, profile.step_gain_per_s)
 
     def fly(self, behaviour: Behaviour, body: BodyState) -> tuple[Reference, Limits]:
         """The reference of this moment, and the limits to fly it with; without a setpoint to follow it stays."""
@@ -140,19 +143,22 @@ class Guidance:
             return self._moving((*self._drift_m_s, -PILOTLESS_RISE_M_S)), self.limits()
         return self._stay(body), self.limits()
 
-    def limits(
-        self, gain_per_s: float = OWN_GAIN_PER_S, climb_m_s: float | None = None, descent_m_s: float | None = None
-    ) -> Limits:
-        """What the parameters allow now."""
+    def limits(self, climb_m_s: float | None = None, descent_m_s: float | None = None) -> Limits:
+        """What the parameters allow the autopilot's own modes now."""
+        names = self._profile.speeds
+        return self._kept((climb_m_s, descent_m_s), names.cruise, OWN_GAIN_PER_S)
+
+    def _kept(self, vertical_m_s: tuple[float | None, float | None], horizontal: str, gain_per_s: float) -> Limits:
+        """Limits as the parameters have them; made anew when those change."""
         if self._limits_of != self._parameters.changes:
             self._limits_of = self._parameters.changes
             self._limits.clear()
-        kind = (gain_per_s, climb_m_s, descent_m_s)
+        kind = (horizontal, *vertical_m_s)
         found = self._limits.get(kind)
         if found is None:
-            names = self._profile.speeds
+            names, (climb_m_s, descent_m_s) = self._profile.speeds, vertical_m_s
             found = self._limits[kind] = Limits(
-                speed_m_s=self._speed(names.horizontal),
+                speed_m_s=self._speed(horizontal),
                 climb_m_s=climb_m_s or self._speed(names.climb),
                 descent_m_s=descent_m_s or self._speed(names.descent),
                 acceleration_m_s2=self._speed(names.acceleration),
@@ -180,10 +186,10 @@ class Guidance:
 
     def _at(self, place: tuple[float, ...], height_m: float) -> Reference:
         """A step to a place: position only."""
-        return Reference((place[0], place[1], -height_m), position_used=ALL, yaw_rad=self._yaw_rad)
+        return Reference((place[0], place[1], -height_m), position_used=ALL, yaw_rad=self._yaw_rad, planned=True)
 
     def _moving(self, velocity_m_s: Vec3) -> Reference:
-        return Reference(velocity_ned_m_s=velocity_m_s, velocity_used=ALL, yaw_rad=self._yaw_rad)
+        return Reference(velocity_ned_m_s=velocity_m_s, velocity_used=ALL, yaw_rad=self._yaw_rad, planned=True)
 
     def _reference(self, place: tuple[float, float] | None, height_m: float | None, velocity_m_s: Vec3) -> Reference:
         """Positions on the axes that have one, the given velocity on the others."""
@@ -197,6 +203,7 @@ class Guidance:
             position_used=used,
             velocity_used=free if any(free) else NONE,
             yaw_rad=self._yaw_rad,
+            planned=True,
         )
 
     def _sink_slowly(self, body: BodyState) -> Reference:

@@ -120,7 +120,8 @@ class SpeedParameters:
     """Which parameters hold the speeds and the acceleration that guidance keeps to; times `scale` they are SI."""
 
     scale: float
-    horizontal: str
+    horizontal: str  # of streamed setpoints
+    cruise: str  # of the autopilot's own modes
     climb: str
     descent: str
     takeoff: str

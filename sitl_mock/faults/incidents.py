@@ -76,7 +76,6 @@ class Incidents:
         self._vehicles = tuple(vehicles)
         self._body = body
         self._touched = swarm.in_contact.copy()
-        self._velocity_m_s: Array = swarm.velocity_m_s.copy()
 
     def look(self, span_s: float) -> list[int]:
         """Compare all vehicles with each other and with the ground.
@@ -91,22 +90,19 @@ class Incidents:
         if len(self._vehicles) > 1:
             ended += self._meetings(span_s)
         self._touched[:] = self._swarm.in_contact
-        self._velocity_m_s[:] = self._swarm.velocity_m_s
         for row in ended:
             self._vehicles[row].enter(self._swarm.time_s)
             self._vehicles[row].crash()
         return ended
 
     def _strikes(self) -> list[int]:
-        """Vehicles that come down faster than a landing does, or slide along."""
+        """Vehicles that meet the ground faster than a landing does."""
         touching = np.flatnonzero(self._swarm.in_contact & ~self._touched)
         ended = []
         for row in touching.tolist():
-            north_m_s, east_m_s, down_m_s = self._velocity_m_s[row].tolist()
-            along_m_s = float(np.hypot(north_m_s, east_m_s))
-            if max(down_m_s, along_m_s) < self._body.strike_m_s or self._vehicles[row].wrecked:
+            speed_m_s = float(self._swarm.impact_m_s[row])
+            if speed_m_s < self._body.strike_m_s or self._vehicles[row].wrecked:
                 continue
-            speed_m_s = float(np.hypot(along_m_s, down_m_s))
             self._add("ground_strike", (row,), self._swarm.position_m[row], (speed_m_s,), speed_m_s)
             ended.append(row)
         return ended

@@ -288,15 +288,14 @@ class Fleet:
         """All vehicles at a time inside the present step."""
         if self._scene is None or self._scene.time_s != now_s:
             position_m, velocity_m_s = self.swarm.estimated_at(now_s)
-            roll_rad, pitch_rad = self.swarm.roll_pitch_rad
             swarm, table = self.swarm, self._table
             clocks_s = (now_s - table.clock_zero_s) * table.clock_rate
             self._scene = Scene(
                 clocks_s,
                 position_m,
                 velocity_m_s,
-                roll_rad,
-                pitch_rad,
+                swarm.roll_rad,
+                swarm.pitch_rad,
                 swarm.yaw_rad,
                 swarm.yaw_rate_rad_s,
                 swarm.commands,

@@ -67,14 +67,15 @@ class FlightModel:
         table = np.zeros(vehicles, MODEL)
         for column, value in self.values.items():
             table[column] = value
-        drawn = random.standard_normal((vehicles, len(self.spread)))
+        shares, headings = random.spawn(2)
+        drawn = shares.standard_normal((vehicles, len(self.spread)))
         factors = {}
         for (column, share), numbers in zip(
             self.spread.items(), np.clip(drawn, -SPREAD_MOST, SPREAD_MOST).T, strict=True
         ):
             factors[column] = 1.0 + share * numbers
             table[column] = (table[column].T * factors[column]).T
-        heading = random.uniform(0.0, 2.0 * np.pi, vehicles)  # of a drift without GPS
+        heading = headings.uniform(0.0, 2.0 * np.pi, vehicles)  # of a drift without GPS
         drift = table["drift_m_s2"][:, 0].copy()
         table["drift_m_s2"] = np.stack((drift * np.cos(heading), drift * np.sin(heading)), axis=1)
         return table, factors

@@ -1,8 +1,8 @@
 """The physics step as machine code: every vehicle through a number of steps, one after the other.
 
 Rows of the tables in `records`: `s` state, `c` command, `d` disturbance, `m` model, `k` world. World NED, SI units. A
-vehicle's step: control law (by the estimate), airframe, ground, motion, heading, estimator. Vehicles do not
-touch each other, and each has random numbers of its own, so that neither their number nor their order matters.
+vehicle's step: control law (by the estimate), airframe, ground, motion, heading, estimator. Vehicles do not touch each
+other, and each has random numbers of its own, so that neither their number nor their order matters.
 """
 
 from __future__ import annotations
@@ -14,17 +14,15 @@ import numpy as np
 from sitl_mock.physics.compiling import Row, kernel, part
 
 TINY = 1e-9  # keeps 0/0 out of unit vectors; far below any length or speed that matters
-DIRECT, SHAPED = 0, 1  # control laws of `measured`
+SHAPED = 1  # control law, in the order of `flight_model.LAWS`
 POSITION, VELOCITY = 1, 2  # bits of what is controlled
-# splitmix64 (Steele, Lea and Flood 2014)
-STRIDE = np.uint64(0x9E3779B97F4A7C15)
-MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+STRIDE, MIX_1, MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 SHIFT_1, SHIFT_2, SHIFT_3, SHIFT_4 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 
 
 @part
 def _uniform(s: Row) -> float:
-    """Next number in (0, 1) of a vehicle."""
+    """Next number in (0, 1) of a vehicle: splitmix64 (Steele, Lea and Flood 2014)."""
     s.random_state = s.random_state + STRIDE
     mixed = s.random_state
     mixed = (mixed ^ (mixed >> SHIFT_1)) * MIX_1
@@ -98,9 +96,8 @@ def _approach(c: Row, k: Row, distance_m: float) -> float:
 def _limit_speed(s: Row, c: Row) -> None:
     """The wanted velocity within the limits; where it was cut, no feed-forward pushes outwards."""
     wanted, feed = s.target_m_s, s.target_m_s2
-    level_m_s = math.hypot(wanted[0], wanted[1])
     allowed_m_s = c.speed_m_s + c.speed_headroom_m_s
-    if level_m_s > allowed_m_s:
+    if math.hypot(wanted[0], wanted[1]) > allowed_m_s:
         if feed[0] * wanted[0] + feed[1] * wanted[1] > 0.0:
             feed[0] = feed[1] = 0.0
         _shorten_level(wanted, allowed_m_s)
@@ -119,10 +116,9 @@ def _particle_law(s: Row, c: Row, d: Row, k: Row, time_s: float, dt_s: float) ->
     for a in range(3):
         error_m[a] = (s.target_m[a] - s.estimated_position_m[a]) * c.position_used[a]
     level = _approach(c, k, math.hypot(error_m[0], error_m[1]))
-    vertical = _approach(c, k, abs(error_m[2]))
     s.target_m_s[0] += error_m[0] * level
     s.target_m_s[1] += error_m[1] * level
-    s.target_m_s[2] += error_m[2] * vertical
+    s.target_m_s[2] += error_m[2] * _approach(c, k, abs(error_m[2]))
     _limit_speed(s, c)
     asked, miss = s.asked_m_s2, s.miss_m_s
     for a in range(3):
@@ -180,15 +176,10 @@ def _shorten_level(vector: Row, longest: float) -> None:
 
 @part
 def _airframe(s: Row, c: Row, d: Row, m: Row, dt_s: float) -> None:
-    """The acceleration of a multicopter in the air whose law asks for the force per mass `s.asked_m_s2`.
-
-    Attitude: rate = gain times angle, limited, reached with a lag; collective thrust follows with the motors' lag; drag
-    is against the air.
-    """
+    """Acceleration of a multicopter whose law asks for the force per mass `s.asked_m_s2`: thrust, attitude and drag."""
     force, u = s.asked_m_s2, s.acceleration_m_s2
     wish = _length(force)
-    powered = c.flying and d.thrust_share > 0.0
-    if powered:
+    if c.flying and d.thrust_share > 0.0:
         for a in range(2):
             rate = m.attitude_gain_per_s * (force[a] / max(wish, TINY) - s.lean[a])
             rate = _clipped(rate, -m.attitude_rate_most_rad_s, m.attitude_rate_most_rad_s)
@@ -197,8 +188,7 @@ def _airframe(s: Row, c: Row, d: Row, m: Row, dt_s: float) -> None:
         most = d.thrust_share * m.thrust_most_m_s2
         s.thrust_m_s2 += (min(wish, most) - s.thrust_m_s2) * min(1.0, dt_s / m.thrust_time_s)
     else:
-        for a in range(2):
-            s.lean[a] = s.lean_per_s[a] = 0.0
+        s.lean[0] = s.lean[1] = s.lean_per_s[0] = s.lean_per_s[1] = 0.0
         s.thrust_m_s2 = m.fall_lift_share * m.gravity_m_s2 if c.flying else 0.0
     leaning = min(math.hypot(s.lean[0], s.lean[1]), 1.0)
     s.upward[0], s.upward[1], s.upward[2] = s.lean[0], s.lean[1], -math.sqrt(1.0 - leaning * leaning)
@@ -210,9 +200,6 @@ def _airframe(s: Row, c: Row, d: Row, m: Row, dt_s: float) -> None:
     for a in range(3):
         u[a] = s.thrust_m_s2 * s.upward[a] - drag_per_s * u[a]
     u[2] += m.gravity_m_s2
-
-
-# -- measured: setpoints straight into P and PID (PX4: PositionControl) -----------------------------------------------
 
 
 @part
@@ -239,12 +226,13 @@ def _direct_law(s: Row, c: Row, m: Row, time_s: float, dt_s: float, resting: boo
     `_positionControl`, `_velocityControl` and `_accelerationControl` with MPC_ACC_DECOUPLE 1, and the anti-windup of
     both: vertically the integrator stops at the limits, horizontally it is driven back (Rundqwist 1990).
     """
-    _aim(s, c, time_s, m.carries)
+    _plan(s, c, m, _aim(s, c, time_s, m.carries), resting, dt_s)
     gain = m.position_gain_level_per_s
-    ax = gain * (s.target_m[0] - s.estimated_position_m[0]) * c.position_used[0]
-    ay = gain * (s.target_m[1] - s.estimated_position_m[1]) * c.position_used[1]
+    ax = gain * (s.target_m[0] - s.estimated_position_m[0]) * max(c.position_used[0], c.planned)
+    ay = gain * (s.target_m[1] - s.estimated_position_m[1]) * max(c.position_used[1], c.planned)
     _limit_level(s, ax, ay, c.speed_m_s)
-    az = m.position_gain_vertical_per_s * (s.target_m[2] - s.estimated_position_m[2]) * c.position_used[2]
+    gain = m.position_gain_vertical_per_s
+    az = gain * (s.target_m[2] - s.estimated_position_m[2]) * max(c.position_used[2], c.planned)
     s.target_m_s[2] = _clipped(s.target_m_s[2] + az, -c.climb_m_s, c.descent_m_s)
     blend = dt_s / (dt_s + 1.0 / (2.0 * math.pi * m.derivative_cutoff_hz))
     force, miss = s.asked_m_s2, s.miss_m_s
@@ -259,6 +247,8 @@ def _direct_law(s: Row, c: Row, m: Row, time_s: float, dt_s: float, resting: boo
             s.integral_m_s2[a] = 0.0
         force[a] = s.target_m_s2[a]
         force[a] += (p * miss[a] + s.integral_m_s2[a] - damping * s.miss_m_s2[a]) * c.controlled[a]
+    if resting:  # so that no thrust is left
+        force[0], force[1], force[2] = 0.0, 0.0, 100.0
     x_m_s2, y_m_s2 = force[0], force[1]
     least, most = m.thrust_least_share * m.thrust_most_m_s2, m.thrust_most_m_s2
     lift = max(m.gravity_m_s2 - force[2], TINY)
@@ -283,9 +273,6 @@ def _direct_law(s: Row, c: Row, m: Row, time_s: float, dt_s: float, resting: boo
     s.integral_m_s2[2] = _clipped(s.integral_m_s2[2], -m.gravity_m_s2, m.gravity_m_s2)
 
 
-# -- measured: jerk-limited shaping first (ArduPilot: AC_PosControl, AP_Math/control.cpp) -----------------------------
-
-
 @part
 def _root(error: float, gain: float, second: float, dt_s: float) -> float:
     """`sqrt_controller`: rate that removes an error >= 0, linear when near, at constant second derivative when far."""
@@ -303,10 +290,7 @@ def _root_inverse(rate: float, gain: float, second: float) -> float:
 
 @part
 def _shape_acceleration(s: Row, vx: float, vy: float, c: Row, m: Row, dt_s: float) -> None:
-    """`shape_vel_accel_xy`: desired acceleration towards a velocity, within acceleration and jerk.
-
-    The share of acceleration across the wanted velocity is limited to 1/sqrt(2) where the share along it is larger.
-    """
+    """`shape_vel_accel_xy`: desired acceleration towards a velocity, at most 1/sqrt(2) of it across that velocity."""
     most, jerk = c.correction_m_s2, m.jerk_level_m_s3
     ex, ey = vx - s.desired_m_s[0], vy - s.desired_m_s[1]
     error = math.hypot(ex, ey)
@@ -371,21 +355,35 @@ def _shape(s: Row, c: Row, m: Row, dt_s: float) -> None:
 
 
 @part
-def _kinds(s: Row, c: Row, over: bool, resting: bool) -> None:
-    """Which quantities are controlled; where that changes, shaping begins anew at the estimate, without a jump."""
+def _begin(s: Row, c: Row, over: bool, resting: bool, keeps: bool) -> None:
+    """Where other quantities are controlled than before, shaping begins anew at the estimate, without a jump."""
     level = POSITION * int(c.position_used[0] > 0.0) + VELOCITY * int(c.velocity_given[0] > 0.0 or over)
     vertical = POSITION * int(c.position_used[2] > 0.0) + VELOCITY * int(c.velocity_given[2] > 0.0 or over)
     for a in range(3):
-        same = level == s.level_kind if a < 2 else vertical == s.vertical_kind
-        if same and not resting:
+        if (level == s.level_kind if a < 2 else vertical == s.vertical_kind) and not resting:
             continue
-        s.desired_m[a], s.desired_m_s[a] = s.estimated_position_m[a], s.estimated_velocity_m_s[a]
-        s.desired_m_s2[a] = s.miss_m_s[a] = s.miss_m_s2[a] = 0.0
-        if a < 2:  # what held the vehicle goes on
-            s.integral_m_s2[a] = 0.0 if resting else s.correction_m_s2[a]
-        elif resting:
-            s.integral_m_s2[a] = 0.0
+        s.desired_m[a], s.desired_m_s[a], s.desired_m_s2[a] = (
+            s.estimated_position_m[a],
+            s.estimated_velocity_m_s[a],
+            0.0,
+        )
+        if keeps:  # what holds the vehicle
+            s.miss_m_s[a] = s.miss_m_s2[a] = 0.0
+            if resting or a < 2:
+                s.integral_m_s2[a] = 0.0 if resting else s.correction_m_s2[a]
     s.level_kind, s.vertical_kind = level, vertical
+
+
+@part
+def _plan(s: Row, c: Row, m: Row, over: bool, resting: bool, dt_s: float) -> None:
+    """A target that the autopilot chose itself: the direct law follows a shaped one on the way to it."""
+    if not c.planned:
+        s.level_kind = s.vertical_kind = -1  # shaping begins anew
+        return
+    _begin(s, c, over, resting, False)
+    _shape(s, c, m, dt_s)
+    for a in range(3):
+        s.target_m[a], s.target_m_s[a], s.target_m_s2[a] = s.desired_m[a], s.desired_m_s[a], s.desired_m_s2[a]
 
 
 @part
@@ -394,7 +392,7 @@ def _shaped_law(s: Row, c: Row, m: Row, time_s: float, dt_s: float, resting: boo
 
     `update_NE_controller` and `update_U_controller` of AC_PosControl.
     """
-    _kinds(s, c, _aim(s, c, time_s, m.carries), resting)
+    _begin(s, c, _aim(s, c, time_s, m.carries), resting, True)
     _shape(s, c, m, dt_s)
     gain, most = m.position_gain_level_per_s, c.correction_m_s2
     ex, ey = s.desired_m[0] - s.estimated_position_m[0], s.desired_m[1] - s.estimated_position_m[1]
@@ -404,8 +402,8 @@ def _shaped_law(s: Row, c: Row, m: Row, time_s: float, dt_s: float, resting: boo
     gain, most = m.position_gain_vertical_per_s, m.acceleration_vertical_m_s2
     ez = s.desired_m[2] - s.estimated_position_m[2]
     ez = _clipped(ez, -_root_inverse(c.climb_m_s, gain, most), _root_inverse(c.descent_m_s, gain, most))
-    for a in range(2):  # the shaped target does not run away from a vehicle that cannot follow
-        s.desired_m[a] = s.estimated_position_m[a] + (ex if a == 0 else ey) * nearer
+    # The shaped target does not run away from a vehicle that cannot follow.
+    s.desired_m[0], s.desired_m[1] = s.estimated_position_m[0] + ex * nearer, s.estimated_position_m[1] + ey * nearer
     s.desired_m[2] = s.estimated_position_m[2] + ez
     blend = dt_s / (dt_s + 1.0 / (2.0 * math.pi * m.error_cutoff_hz))
     slower = dt_s / (dt_s + 1.0 / (2.0 * math.pi * m.derivative_cutoff_hz))
@@ -424,7 +422,7 @@ def _shaped_law(s: Row, c: Row, m: Row, time_s: float, dt_s: float, resting: boo
     _shorten_level(s.integral_m_s2, m.integral_most_m_s2)
     wanted = m.velocity_p_vertical_per_s * s.miss_m_s[2] + s.desired_m_s2[2]
     short = wanted - s.acceleration_m_s2[2]
-    lift = m.gravity_m_s2 - m.acceleration_p * short - s.integral_m_s2[2]
+    lift = 0.0 if resting else m.gravity_m_s2 - m.acceleration_p * short - s.integral_m_s2[2]
     if 0.0 < lift < m.thrust_most_m_s2:
         s.integral_m_s2[2] += m.acceleration_i_per_s * short * dt_s
     force[2] = -m.gravity_m_s2
@@ -445,17 +443,14 @@ def _ground(s: Row, c: Row, k: Row) -> None:
         # Motors off just above the pad: the spring pulls down too, so that a rest is exactly at pad height.
         u[2] = min(falling_m_s2, support_m_s2) if c.flying else support_m_s2
     if contact and falling_m_s2 >= 0.0:
-        for a in range(2):
-            u[a] = -k.friction_per_s * s.velocity_m_s[a]
+        u[0], u[1] = -k.friction_per_s * s.velocity_m_s[0], -k.friction_per_s * s.velocity_m_s[1]
 
 
 @part
 def _resting(s: Row, c: Row, k: Row) -> bool:
     """Whether a vehicle stands on the ground and is not asked to climb: a law starts from nothing there."""
-    if not c.flying:
-        return True
     climbs = c.velocity_m_s[2] < 0.0 or (c.position_used[2] > 0.0 and c.position_m[2] < s.estimated_position_m[2])
-    return s.position_m[2] > -k.contact_m and not climbs
+    return not c.flying or (s.position_m[2] > -k.contact_m and not climbs)
 
 
 @part
@@ -468,12 +463,16 @@ def _gusts(s: Row, d: Row, k: Row, dt_s: float) -> None:
 
 
 @part
-def _move(s: Row, dt_s: float) -> None:
-    """The discrete dynamics: x+ = x + v dt + u dt^2 / 2, v+ = v + u dt."""
+def _move(s: Row, k: Row, dt_s: float) -> None:
+    """The discrete dynamics: x+ = x + v dt + u dt^2 / 2, v+ = v + u dt; and whether and how the ground is touched."""
     u = s.acceleration_m_s2
     for a in range(3):
         s.position_m[a] += s.velocity_m_s[a] * dt_s + u[a] * (0.5 * dt_s * dt_s)
         s.velocity_m_s[a] += u[a] * dt_s
+    contact = s.position_m[2] > -k.contact_m
+    if contact and not s.in_contact:
+        s.impact_m_s = _length(s.velocity_m_s)
+    s.in_contact = contact
 
 
 @part
@@ -566,18 +565,17 @@ def step_particles(
             _ground(s, c, k)
             if c.flying:
                 _limit_body_speed(s, k.body_speed_m_s, dt_s)
-            _move(s, dt_s)
+            _move(s, k, dt_s)
             _turn(s, c, m, dt_s)
             _drift(s, d, m, dt_s)
             _observe(s, d, dt_s)
-        s.in_contact = s.position_m[2] > -k.contact_m
 
 
 @kernel
 def step_measured(
     state: Row, commands: Row, disturbances: Row, models: Row, world: Row, law: int, first: int, dt_s: float, steps: int
 ) -> None:
-    """Advance multicopters with a real autopilot's control law (`DIRECT` or `SHAPED`) by a number of steps."""
+    """Advance multicopters with a real autopilot's control law, by its place in `flight_model.LAWS`."""
     k = world[0]
     for row in range(state.shape[0]):
         s, c, d, m = state[row], commands[row], disturbances[row], models[row]
@@ -592,9 +590,8 @@ def step_measured(
                 _gusts(s, d, k, dt_s)
             _airframe(s, c, d, m, dt_s)
             _ground(s, c, k)
-            _move(s, dt_s)
+            _move(s, k, dt_s)
             _turn(s, c, m, dt_s)
             _drift(s, d, m, dt_s)
             _wander(s, c, m, dt_s)
             _observe(s, d, dt_s)
-        s.in_contact = s.position_m[2] > -k.contact_m

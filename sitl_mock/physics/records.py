@@ -18,6 +18,7 @@ STATE = np.dtype(
         ("yaw_rad", np.float64),
         ("yaw_rate_rad_s", np.float64),
         ("in_contact", np.bool_),
+        ("impact_m_s", np.float64),  # speed at which the ground was touched last
         # What the autopilot believes, and what makes the difference
         ("estimated_position_m", *VECTOR),
         ("estimated_velocity_m_s", *VECTOR),
@@ -69,6 +70,7 @@ COMMAND = np.dtype(
         ("since_s", np.float64),
         ("carry_s", np.float64),
         ("lapses", np.bool_),
+        ("planned", np.float64),  # 1: the autopilot's own target, which it approaches within acceleration and jerk
         ("speed_m_s", np.float64),
         ("climb_m_s", np.float64),
         ("descent_m_s", np.float64),

@@ -43,7 +43,8 @@ class Reference(NamedTuple):
     """One target, valid from `since_s` on, in world NED.
 
     Axes that are in neither `position_used` nor `velocity_used` fly open loop with `acceleration`. The target runs on
-    by `velocity` and `acceleration` for at most `carry_s`; then it stops there if `lapses`, else keeps its velocity.
+    by `velocity` and `acceleration` for at most `carry_s`; then it stops there if `lapses`, else keeps its velocity. In
+    measured dynamics each autopilot decides whether a target runs on.
     """
 
     position_ned_m: Vec3 = ZERO
@@ -56,6 +57,7 @@ class Reference(NamedTuple):
     since_s: float = 0.0
     carry_s: float = 0.0
     lapses: bool = False
+    planned: bool = False  # the autopilot's own target, not a client's: measured dynamics shape the way to it
 
     @property
     def is_step(self) -> bool:

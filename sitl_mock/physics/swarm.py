@@ -22,6 +22,7 @@ from sitl_mock.physics.flight_model import LAWS, FlightModel
 from sitl_mock.physics.records import COMMAND, DISTURBANCE, STATE, WORLD
 from sitl_mock.physics.reference import Limits, Reference
 
+LEVEL = (0.0, 0.0, -1.0)
 LEAST_LIFT = 0.01  # of the thrust's upward part: keeps attitudes from turning over
 
 
@@ -49,6 +50,7 @@ class Commands:
         self.since_s: Array = self.table["since_s"]
         self.carry_s: Array = self.table["carry_s"]
         self.lapses: NDArray[np.bool_] = self.table["lapses"]
+        self.planned: Array = self.table["planned"]  # 0 or 1
         self.speed_m_s: Array = self.table["speed_m_s"]
         self.climb_m_s: Array = self.table["climb_m_s"]
         self.descent_m_s: Array = self.table["descent_m_s"]
@@ -78,6 +80,7 @@ class Commands:
             reference.since_s,
             reference.carry_s,
             reference.lapses,
+            reference.planned,
             limits.speed_m_s,
             limits.climb_m_s,
             limits.descent_m_s,
@@ -157,6 +160,7 @@ class Swarm:
         self.target_m: Array = self._state["target_m"]  # (V, 3) what the control law aims at
         self.target_m_s: Array = self._state["target_m_s"]  # (V, 3) velocity that it controls to
         self.in_contact: NDArray[np.bool_] = self._state["in_contact"]  # (V,) stands on the ground
+        self.impact_m_s: Array = self._state["impact_m_s"]  # (V,) speed at which it touched the ground last
         self.commands = Commands(vehicles)
         self.disturbances = Disturbances(vehicles)
         self.position_m[:] = self.estimated_position_m[:] = pads_ned_m
@@ -165,9 +169,20 @@ class Swarm:
         self.disturbances.wind_m_s[:] = wind_m_s * np.array([math.cos(heading), math.sin(heading), 0.0])
         self.disturbances.gust_m_s[:] = physics.wind.gust_share * wind_m_s
         self.disturbances.make_usual()
+        if vehicles:
+            # Machine code is compiled or loaded now: in flight nothing waits for it.
+            self._advance(0)
+            self.pairs_within(0.0)
+            self.closest_pair(np.zeros(vehicles, dtype=np.bool_))
 
     def step(self, steps: int = 1) -> None:
         """Advance every vehicle by a number of physics steps; what is commanded does not change meanwhile."""
+        if len(self._state):
+            self._advance(steps)
+        self._steps += steps
+        self.time_s = self._steps * self.physics.time.step_s
+
+    def _advance(self, steps: int) -> None:
         from sitl_mock.physics import kernels  # loads the compiler: only where something flies
 
         tables = (self._state, self.commands.table, self.disturbances.table, self._models, self._world)
@@ -176,8 +191,6 @@ class Swarm:
             kernels.step_particles(*tables, self._steps, dt_s, steps)
         else:
             kernels.step_measured(*tables, LAWS.index(self.model.law), self._steps, dt_s, steps)
-        self._steps += steps
-        self.time_s = self._steps * dt_s
 
     def set_parameter(self, row: int, name: str, value: float) -> None:
         """Give a vehicle's control law or airframe the value of an autopilot's parameter, in the parameter's own unit.
@@ -190,13 +203,22 @@ class Swarm:
             self._models[column][row] = value * scale * (1.0 if factors is None else factors[row])
 
     @property
-    def roll_pitch_rad(self) -> tuple[Array, Array]:
-        """(V,), (V,) attitude that points the thrust where it goes; level on the ground."""
+    def pitch_rad(self) -> Array:
+        """(V,) attitude that points the thrust where it goes; level on the ground."""
+        forward, _, lift = self._thrust()
+        return np.arctan2(-forward, lift)
+
+    @property
+    def roll_rad(self) -> Array:
+        """(V,) likewise."""
+        forward, right, lift = self._thrust()
+        return np.arctan2(right, np.hypot(forward, lift))
+
+    def _thrust(self) -> tuple[Array, Array, Array]:
+        """(V,) each: the thrust's direction ahead, to the right and up, as seen along the vehicle's heading."""
         cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        north, east, down = self._state["upward"].T
-        lift = np.where(self.in_contact, np.inf, np.maximum(-down, LEAST_LIFT))
-        pitch = np.arctan2(-(cos * north + sin * east), lift)
-        return np.arctan2((cos * east - sin * north) * np.cos(pitch), lift), pitch
+        north, east, down = np.where(self.in_contact[:, None], LEVEL, self._state["upward"]).T
+        return cos * north + sin * east, cos * east - sin * north, np.maximum(-down, LEAST_LIFT)
 
     def at(self, time_s: float) -> tuple[Array, Array]:
         """True positions and velocities (V, 3) at a time inside the present step: exact, because u is held.
@@ -224,8 +246,7 @@ class Swarm:
         """
         from sitl_mock.physics import encounters
 
-        found = encounters.pairs_within(self._before(span_s), self.position_m, limit_m)
-        return sorted(Pair(*pair) for pair in found)
+        return [Pair(*pair) for pair in encounters.pairs_within(self._before(span_s), self.position_m, limit_m)]
 
     def closest_pair(self, airborne: NDArray[np.bool_], span_s: float | None = None) -> Pair | None:
         """The pair of marked vehicles that came closest during the last step, or None: fewer than two are marked.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -140,6 +142,7 @@ def test_fall_ends_on_the_ground() -> None:
         speeds.append(float(particles.velocity_m_s[0, 2]))
     assert max(speeds) == pytest.approx(math.sqrt(2.0 * GRAVITY_M_S2 * 10.0), rel=0.01)
     assert particles.position_m[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert particles.impact_m_s[0] == pytest.approx(max(speeds), rel=0.01)
 
 
 def test_target_runs_on_exactly_as_long_as_it_is_carried() -> None:
@@ -198,3 +201,21 @@ def test_enu_and_ned_are_each_other_s_inverse() -> None:
     vectors = np.random.default_rng(0).normal(size=(10, 3))
     np.testing.assert_array_equal(enu_from_ned(enu_from_ned(vectors)), vectors)
     np.testing.assert_array_equal(enu_from_ned(np.array([[1.0, 2.0, 3.0]])), [[2.0, 1.0, -3.0]])
+
+
+NO_COMPILER = """
+import sys
+import numpy as np
+import sitl_mock.__main__, sitl_mock.host.server
+from sitl_mock.physics.constants import load_physics
+from sitl_mock.physics.swarm import Swarm
+
+swarm = Swarm(load_physics(), np.zeros((0, 3)), 0.0, np.random.default_rng(0))
+swarm.step(3)
+print(swarm.time_s, "numba" in sys.modules)
+"""
+
+
+def test_the_compiler_is_loaded_where_something_flies_and_not_before() -> None:
+    ran = subprocess.run([sys.executable, "-c", NO_COMPILER], capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == ["0.03", "False"]

@@ -125,3 +125,12 @@ def test_a_new_autopilot_is_a_module_and_a_file_of_parameters(tmp_path: Path, mo
     assert (high_m - station.height_m()) / 2.0 == pytest.approx(1.5, abs=0.55)  # 1.5: WPNAV_SPEED_DN, and headroom
     station.run(15.0)
     assert not station.autopilot.armed
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_parameters_and_flight_model_agree(autopilot: str) -> None:
+    """What a parameter says at boot is what the vehicle flies with."""
+    model, parameters = profiles.flight_model(autopilot), profiles.strategy(autopilot).rules.profile.parameters
+    for name, (column, scale) in model.parameters.items():
+        value = model.values[column]
+        assert parameters[name].value * scale == pytest.approx(value, rel=1e-3), name

@@ -103,6 +103,7 @@ PROFILE = AutopilotProfile(
     speeds=SpeedParameters(
         scale=0.01,  # cm/s and cm/s^2
         horizontal="WPNAV_SPEED",
+        cruise="WPNAV_SPEED",
         climb="WPNAV_SPEED_UP",
         descent="WPNAV_SPEED_DN",
         takeoff="WPNAV_SPEED_UP",

@@ -144,6 +144,7 @@ PROFILE = AutopilotProfile(
     speeds=SpeedParameters(
         scale=1.0,
         horizontal="MPC_XY_VEL_MAX",
+        cruise="MPC_XY_CRUISE",
         climb="MPC_Z_VEL_MAX_UP",
         descent="MPC_Z_VEL_MAX_DN",
         takeoff="MPC_TKO_SPEED",
