@@ -15,6 +15,7 @@ from fg_gcs.console.cli import main
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.mission.tables import MissionTable
+from sitl_mock.faults.schema import IMPAIRMENT, KINDS, WINDOW
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 TEXT = (MISSIONS / "README.md").read_text()
@@ -124,3 +125,12 @@ def test_the_smallest_mission_flies(autopilot: str, tmp_path: Path) -> None:
 def test_every_mission_of_the_folder_is_listed() -> None:
     for path in MISSIONS.glob("*.toml"):
         assert f"`{path.name}`" in TEXT
+
+
+def test_the_page_lists_every_kind_of_fault_and_every_key() -> None:
+    for name, kind in KINDS.items():
+        (line,) = [line for line in TEXT.splitlines() if line.startswith(f"| `{name}` |")]
+        assert kind.says in line
+        assert all(f"`{key}`" in line for key in kind.keys)
+    for name, key in {**WINDOW, **IMPAIRMENT}.items():
+        assert re.search(rf"\| `{name}` \| .*\| {re.escape(key.says)} \|", TEXT), name
