@@ -221,6 +221,7 @@ class Director:
         setup, count = self._setup, self.mission.swarm.vehicles
         with self.journal.in_stage("connect"):
             found = await discover(router, setup.networks, count, wanted, setup.wait_s)
+            router.tell_shortages()
             self.fleet = self._link_recorder.fleet = Fleet(router, found)
             self.result.vehicles = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.profile.name for vehicle in found})

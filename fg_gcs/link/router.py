@@ -1,7 +1,7 @@
 """From sockets to vehicles and back: each message leaves once, to the address its vehicle was heard from."""
 
 import asyncio
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -191,6 +191,12 @@ class Router:
             self.heartbeat()
             for vehicle in self.vehicles.values():
                 vehicle.watch(self._time())
+
+    def tell_shortages(self) -> None:
+        """Tell people of buffers that are too small for the vehicles heard so far; once, when all of them are."""
+        vehicles = Counter(peer.wire for peer in self._routes.values())
+        for wire, count in vehicles.items():
+            self.notices.extend(wire.shortages(count))
 
     def close(self) -> None:
         """Close all sockets; may be called twice."""
