@@ -118,9 +118,8 @@ class OwnStation:
 
     async def send(self, numbers: Numbers) -> None:
         """Send each vehicle its setpoint."""
-        addresses = list(self.fleet.row_of)
-        frames = pack_setpoints(numbers, self.fleet.system_ids, self.router.senders(addresses))
-        self.router.send_all(addresses, frames)
+        routes = self.router.routes(tuple(self.fleet.row_of))
+        self.router.send_all(routes, pack_setpoints(numbers, self.fleet.system_ids, routes.senders))
 
     async def flush(self) -> None:
         """Write the record down, for ever: run it as a task."""

@@ -117,9 +117,8 @@ class Streamer:
             self._refuse(rows[engaged & ~safe].tolist(), now_s)
         chosen = np.flatnonzero(engaged & safe)
         sent = rows[chosen]
-        addresses = [fleet.vehicles[row].address for row in sent.tolist()]
-        frames = pack_setpoints(numbers[chosen], fleet.system_ids[sent], fleet.router.senders(addresses))
-        fleet.router.send_all(addresses, frames)
+        routes = fleet.router.routes(fleet.addresses_of(sent))
+        fleet.router.send_all(routes, pack_setpoints(numbers[chosen], fleet.system_ids[sent], routes.senders))
         self._rounds_s.append(asyncio.get_running_loop().time())
         self._record(sent, wanted.of(chosen), now_s)
 

@@ -16,8 +16,7 @@ from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.wire.address import MAIN
 
 Address = tuple[str, int]
-Data = bytes | memoryview
-Datagram = tuple[Data, Address]  # what to send, and where to
+Datagram = tuple[bytes, Address]  # what to send, and where to
 
 FORMS: Final = "udpin:HOST:PORT (vehicles come to us), udpout:HOST:PORT (we call first) or tcp:HOST:PORT (we connect)"
 FIRST_PAUSE_S: Final = 0.5  # after a connection broke, before it is made again: SITL needs longer to start
@@ -134,7 +133,7 @@ class Wire(ABC):
         self.errors = 0
         self._on_data = on_data
 
-    def send(self, data: Data, address: Address) -> None:
+    def send(self, data: bytes, address: Address) -> None:
         """Send whole frames to ``address``."""
         self.send_all(((data, address),))
 

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, NamedTuple, Self
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Data, Datagram, Endpoint, Wire, open_wire
+from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import profile_of
@@ -29,7 +29,7 @@ class Direction(Enum):
     OUT = "out"
 
 
-Tap = Callable[[Direction, Sequence[Data], float], None]
+Tap = Callable[[Direction, Sequence[bytes], float], None]
 OnFrame = Callable[[Vehicle, Frame, float], None]
 
 
@@ -73,6 +73,29 @@ class Peer:
     sender: Sender = field(default_factory=Sender)
 
 
+@dataclass(frozen=True, slots=True)
+class Routes:
+    """The ways to some vehicles, each to where its vehicle was heard.
+
+    Attributes:
+        addresses: Of the vehicles.
+        senders: What numbers the frames to each of them; for `fg_gcs.wire.setpoint.pack_setpoints`.
+        by_wire: For each wire the vehicles' places among the addresses, and where their frames go.
+    """
+
+    addresses: tuple[VehicleAddress, ...]
+    senders: list[Sender]
+    by_wire: dict[Wire, list[tuple[int, Address]]]
+
+    @classmethod
+    def of(cls, addresses: tuple[VehicleAddress, ...], peers: Sequence[Peer]) -> Self:
+        """Return the ways to vehicles that are heard from these peers."""
+        by_wire: dict[Wire, list[tuple[int, Address]]] = {}
+        for place, peer in enumerate(peers):
+            by_wire.setdefault(peer.wire, []).append((place, peer.address))
+        return cls(addresses, [peer.sender for peer in peers], by_wire)
+
+
 class Router:
     """Owns the sockets, learns where each vehicle is, and keeps its state; open one with `Router.open`.
 
@@ -89,6 +112,7 @@ class Router:
         self._wires: list[Wire] = []
         self._peers: dict[tuple[int, Address], Peer] = {}  # by wire (its id) and address
         self._routes: dict[VehicleAddress, Peer] = {}
+        self._latest: Routes | None = None  # of the last round, while no vehicle has moved
         self._clashing: set[VehicleAddress] = set()
         self._frames_out = self._unroutable = self._clashes = 0
         self._time = time
@@ -136,32 +160,27 @@ class Router:
             errors=sum(wire.errors for wire in self._wires),
         )
 
-    def senders(self, addresses: Iterable[VehicleAddress]) -> list[Sender]:
-        """Return what numbers the frames to each of these vehicles; for `fg_gcs.wire.setpoint.pack_setpoints`.
+    def routes(self, addresses: tuple[VehicleAddress, ...]) -> Routes:
+        """Return the ways to these vehicles as they are now; to be asked for each round, as vehicles move.
 
         Raises:
             KeyError: One of them was never heard.
         """
-        return [self._routes[address].sender for address in addresses]
+        if self._latest is None or self._latest.addresses != addresses:
+            self._latest = Routes.of(addresses, [self._routes[address] for address in addresses])
+        return self._latest
 
-    def send_all(self, addresses: Iterable[VehicleAddress], frames: Frames) -> None:
+    def send_all(self, routes: Routes, frames: Frames) -> None:
         """Send each vehicle its own frame, once.
 
         Args:
-            addresses: Of the vehicles; each was heard.
-            frames: Packed by the vehicles' `senders`, shape (V, size).
-
-        Raises:
-            KeyError: One of them was never heard.
+            routes: The ways to the vehicles, see `routes`.
+            frames: Packed by the routes' senders, shape (V, size).
         """
-        size, data = frames.shape[1], memoryview(frames.tobytes())
+        size, data = frames.shape[1], frames.tobytes()
         rows = [data[start : start + size] for start in range(0, len(data), size)]
-        by_wire: dict[Wire, list[Datagram]] = {}
-        for address, row in zip(addresses, rows, strict=True):
-            peer = self._routes[address]
-            by_wire.setdefault(peer.wire, []).append((row, peer.address))
-        for wire, datagrams in by_wire.items():
-            wire.send_all(datagrams)
+        for wire, targets in routes.by_wire.items():
+            wire.send_all([(rows[place], address) for place, address in targets])
         self._frames_out += len(rows)
         if self._tap is not None and rows:
             self._tap(Direction.OUT, rows, self._time())
@@ -257,6 +276,7 @@ class Router:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
         if now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT:
             self._routes[vehicle.address] = peer
+            self._latest = None
             return True
         self._clashes += 1
         if vehicle.address not in self._clashing:

@@ -189,7 +189,7 @@ class Recorder:
         """Return the run's time of a reading of the clock [s]."""
         return now_s - self._start_s
 
-    def frames(self, frames: Iterable[bytes | memoryview], now_s: float) -> None:
+    def frames(self, frames: Sequence[bytes], now_s: float) -> None:
         """Log whole MAVLink frames of either direction that passed at one time."""
         self._now_s = now_s - self._start_s
         try:
