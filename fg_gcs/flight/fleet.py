@@ -96,7 +96,9 @@ class Fleet:
         row = self.row_of.get(vehicle.address)
         if row is None or not self.frames:
             return None
-        north, east, down, v_north, v_east, v_down, boot_time_s, _, _, _, ground_down, yaw_rad = self.states[row]
+        north, east, down, v_north, v_east, v_down, boot_time_s, _, _, _, ground_down, yaw_rad = self.states.numbers(
+            row
+        )
         if math.isnan(north):
             return None
         x, y, z = self.frames[row].origin_enu_m  # as `LocalFrame.enu_from_ned`, of which thousands come in a second

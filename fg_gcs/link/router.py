@@ -64,13 +64,18 @@ class Counters(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Peer:
-    """One remote address: its own decoder and its own sequence numbers."""
+    """One remote address: its own decoder and its own sequence numbers.
+
+    Attributes:
+        vehicles: Those that speak from here, by their system ids.
+    """
 
     network: str
     wire: Wire
     address: Address
     codec: Codec = field(default_factory=Codec)
     sender: Sender = field(default_factory=Sender)
+    vehicles: dict[int, Vehicle] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +249,7 @@ class Router:
                 peer.codec.restart()
 
     def _receive(self, network: str, wire: Wire, address: Address, data: bytes) -> None:
-        peer = self._peer(network, wire, address)
+        peer = self._peers.get((id(wire), address)) or self._peer(network, wire, address)
         if peer is None:
             return
         now_s, frames = self._time(), peer.codec.receive(data)
@@ -252,29 +257,32 @@ class Router:
             self._tap(Direction.IN, [frame.raw for frame in frames], now_s)
         for frame in frames:
             if frame.component_id == _AUTOPILOT and is_known(frame):
-                self._dispatch(peer, frame, now_s)
+                vehicle = peer.vehicles.get(frame.system_id) or self._found(peer, frame, now_s)
+                if vehicle is not None:
+                    vehicle.handle(frame, now_s)
+                    if self._on_frame is not None:
+                        self._on_frame(vehicle, frame, now_s)
 
-    def _dispatch(self, peer: Peer, frame: Frame, now_s: float) -> None:
-        """Give an autopilot's message to its vehicle; a heartbeat makes one."""
+    def _found(self, peer: Peer, frame: Frame, now_s: float) -> Vehicle | None:
+        """Return the vehicle of an autopilot that was not heard from this peer before; a heartbeat makes one."""
         address = VehicleAddress(peer.network, frame.system_id)
         vehicle = self.vehicles.get(address)
-        if vehicle is None:
-            if frame.system_id in (0, GCS_SYSTEM) or frame.message_id != HEARTBEAT:
-                return
-            profile = profile_of(frame.fields())
-            if profile is None:
-                return
-            vehicle = self.vehicles[address] = Vehicle(address, profile, now_s)
-            self._routes[address] = peer
-        elif self._routes[address] is not peer and not self._moved(vehicle, peer, frame, now_s):
-            return
-        vehicle.handle(frame, now_s)
-        if self._on_frame is not None:
-            self._on_frame(vehicle, frame, now_s)
+        if vehicle is not None:
+            return vehicle if self._moved(vehicle, peer, frame, now_s) else None
+        if frame.system_id in (0, GCS_SYSTEM) or frame.message_id != HEARTBEAT:
+            return None
+        profile = profile_of(frame.fields())
+        if profile is None:
+            return None
+        vehicle = self.vehicles[address] = peer.vehicles[frame.system_id] = Vehicle(address, profile, now_s)
+        self._routes[address] = peer
+        return vehicle
 
     def _moved(self, vehicle: Vehicle, peer: Peer, frame: Frame, now_s: float) -> bool:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
         if now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT:
+            del self._routes[vehicle.address].vehicles[vehicle.system_id]
+            peer.vehicles[vehicle.system_id] = vehicle
             self._routes[vehicle.address] = peer
             self._latest = None
             return True
