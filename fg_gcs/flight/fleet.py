@@ -113,9 +113,10 @@ class Fleet:
             self._addressed = rows, addresses
         return addresses
 
-    def ned_from_enu(self, rows: Sequence[int] | NDArray[np.int_], position_enu_m: Array) -> Array:
-        """Return local positions of mission ones for the vehicles at ``rows``, shape (len(rows), 3) [m]."""
-        return swap_ned_enu(position_enu_m - self._origins_enu_m[np.asarray(rows)])
+    def from_origins(self, rows: NDArray[np.int_], position_enu_m: Array) -> Array:
+        """Return mission positions as seen from the vehicles' own origins, for those at ``rows``, (N, 3) [m; ENU]."""
+        seen: Array = position_enu_m - self._origins_enu_m[rows]
+        return seen
 
     async def ask(self, vehicles: Iterable[Vehicle], script: Callable[[Vehicle], Iterable[Request]]) -> None:
         """Work through each vehicle's requests, one after the other, all vehicles side by side.

@@ -108,9 +108,8 @@ class Streamer:
         fleet, rows = self._fleet, np.asarray(motion.rows)
         wanted = self._turned(motion, motion.at(now_s), now_s)
         numbers = np.empty((len(rows), NUMBERS))
-        numbers[:, 0:3] = fleet.ned_from_enu(rows, wanted.position_m)
-        numbers[:, 3:6] = swap_ned_enu(wanted.velocity_m_s)
-        numbers[:, 6:9] = swap_ned_enu(wanted.acceleration_m_s2)
+        enu = np.stack((fleet.from_origins(rows, wanted.position_m), wanted.velocity_m_s, wanted.acceleration_m_s2), 1)
+        numbers[:, 0:9] = swap_ned_enu(enu).reshape(-1, 9)
         numbers[:, 9] = wanted.yaw_rad
         engaged, safe = self._engaged[rows], sendable(numbers)
         if not safe.all():
