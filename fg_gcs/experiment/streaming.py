@@ -19,6 +19,7 @@ from fg_gcs.experiment.bare_process import bare_vehicles, free_ports
 from fg_gcs.experiment.baselines.ground_stations import HEAR_S, Mavutil, Numbers
 from fg_gcs.experiment.memory_bench import memory_mb
 from fg_gcs.flight.fleet import Fleet
+from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.motions import SwarmSetpoint
 from fg_gcs.flight.streamer import Streamer
@@ -118,9 +119,8 @@ class OwnStation:
 
     async def send(self, numbers: Numbers) -> None:
         """Send each vehicle its setpoint."""
-        addresses = list(self.fleet.row_of)
-        frames = pack_setpoints(numbers, self.fleet.system_ids, self.router.senders(addresses))
-        self.router.send_all(addresses, frames)
+        routes = self.router.routes(tuple(self.fleet.row_of))
+        self.router.send_all(routes, pack_setpoints(numbers, self.fleet.system_ids, routes.senders))
 
     async def flush(self) -> None:
         """Write the record down, for ever: run it as a task."""
@@ -154,7 +154,7 @@ async def stream(count: int, rate_hz: float, networks: int, position_hz: float, 
     with TemporaryDirectory(prefix="fg-gcs-bench-") as place:
         station = await OwnStation.open(ports, Path(place))
         try:
-            with bare_vehicles(remotes, max(position_hz, 1.0)) as vehicles:
+            with bare_vehicles(remotes, max(position_hz, 1.0)) as vehicles, short_collections():
                 await station.hear(range(count))
                 vehicles.set_position_hz(position_hz)
                 streamer = Streamer(station.fleet, station.recorder, rate_hz)

@@ -13,6 +13,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, geodetic_from_enu
 from fg_gcs.errors import MissionError, VehicleError
 from fg_gcs.flight.fleet import Fleet
+from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
@@ -138,7 +139,8 @@ class Director:
         self.journal.event("open", f"listening at {_places(networks)}")
         background = [asyncio.create_task(router.keep_alive()), asyncio.create_task(self._drain(router))]
         try:
-            await self._run(router, wanted, background)
+            with short_collections():
+                await self._run(router, wanted, background)
         finally:
             for task in background:
                 task.cancel()
@@ -221,6 +223,7 @@ class Director:
         setup, count = self._setup, self.mission.swarm.vehicles
         with self.journal.in_stage("connect"):
             found = await discover(router, setup.networks, count, wanted, setup.wait_s)
+            router.tell_shortages()
             self.fleet = self._link_recorder.fleet = Fleet(router, found)
             self.result.vehicles = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.profile.name for vehicle in found})

@@ -15,7 +15,7 @@ from fg_gcs.errors import VehicleError
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
 from fg_gcs.record.write.layouts import TELEMETRY
-from fg_gcs.wire.address import vehicles_named
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.commands import Dialogue, Request, State
 from fg_gcs.wire.states import StateTable
 from fg_gcs.wire.vehicle import Vehicle
@@ -41,6 +41,7 @@ class Fleet:
         for row, vehicle in enumerate(self.vehicles):
             vehicle.keep_state_in(self.states, row)
         self.row_of = {vehicle.address: row for row, vehicle in enumerate(self.vehicles)}
+        self._addressed: tuple[NDArray[np.int_], tuple[VehicleAddress, ...]] = (np.empty(0, dtype=int), ())
         self._names = [TELEMETRY.text("network", vehicle.address.network) for vehicle in self.vehicles]
         self.networks = np.array(self._names)
         self.system_ids = np.array([v.address.system_id for v in self.vehicles])
@@ -95,16 +96,27 @@ class Fleet:
         row = self.row_of.get(vehicle.address)
         if row is None or not self.frames:
             return None
-        north, east, down, v_north, v_east, v_down, boot_time_s, _, _, _, ground_down, yaw_rad = self.states[row]
+        north, east, down, v_north, v_east, v_down, boot_time_s, _, _, _, ground_down, yaw_rad = self.states.numbers(
+            row
+        )
         if math.isnan(north):
             return None
         x, y, z = self.frames[row].origin_enu_m  # as `LocalFrame.enu_from_ned`, of which thousands come in a second
         place = (x + east, y + north, z - down, v_east, v_north, -v_down)
         return (time_s, self._names[row], vehicle.system_id, *place, yaw_rad, boot_time_s, ground_down - down)
 
-    def ned_from_enu(self, rows: Sequence[int] | NDArray[np.int_], position_enu_m: Array) -> Array:
-        """Return local positions of mission ones for the vehicles at ``rows``, shape (len(rows), 3) [m]."""
-        return swap_ned_enu(position_enu_m - self._origins_enu_m[np.asarray(rows)])
+    def addresses_of(self, rows: NDArray[np.int_]) -> tuple[VehicleAddress, ...]:
+        """Return the addresses of the vehicles at some rows; the same tuple as long as the rows are the same."""
+        latest, addresses = self._addressed
+        if not np.array_equal(rows, latest):
+            addresses = tuple(self.vehicles[row].address for row in rows.tolist())
+            self._addressed = rows, addresses
+        return addresses
+
+    def from_origins(self, rows: NDArray[np.int_], position_enu_m: Array) -> Array:
+        """Return mission positions as seen from the vehicles' own origins, for those at ``rows``, (N, 3) [m; ENU]."""
+        seen: Array = position_enu_m - self._origins_enu_m[rows]
+        return seen
 
     async def ask(self, vehicles: Iterable[Vehicle], script: Callable[[Vehicle], Iterable[Request]]) -> None:
         """Work through each vehicle's requests, one after the other, all vehicles side by side.

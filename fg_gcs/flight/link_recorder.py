@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fg_gcs.flight.fleet import Fleet
-from fg_gcs.link.endpoint import Data
 from fg_gcs.link.router import Direction
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.codec import Frame
@@ -25,7 +24,7 @@ class LinkRecorder:
         self.fleet: Fleet | None = None
         self._recorder = recorder
 
-    def tap(self, _direction: Direction, frames: Sequence[Data], now_s: float) -> None:
+    def tap(self, _direction: Direction, frames: Sequence[bytes], now_s: float) -> None:
         """Write down frames of either direction."""
         self._recorder.frames(frames, now_s)
 

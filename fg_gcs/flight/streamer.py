@@ -108,18 +108,16 @@ class Streamer:
         fleet, rows = self._fleet, np.asarray(motion.rows)
         wanted = self._turned(motion, motion.at(now_s), now_s)
         numbers = np.empty((len(rows), NUMBERS))
-        numbers[:, 0:3] = fleet.ned_from_enu(rows, wanted.position_m)
-        numbers[:, 3:6] = swap_ned_enu(wanted.velocity_m_s)
-        numbers[:, 6:9] = swap_ned_enu(wanted.acceleration_m_s2)
+        enu = np.stack((fleet.from_origins(rows, wanted.position_m), wanted.velocity_m_s, wanted.acceleration_m_s2), 1)
+        numbers[:, 0:9] = swap_ned_enu(enu).reshape(-1, 9)
         numbers[:, 9] = wanted.yaw_rad
         engaged, safe = self._engaged[rows], sendable(numbers)
         if not safe.all():
             self._refuse(rows[engaged & ~safe].tolist(), now_s)
         chosen = np.flatnonzero(engaged & safe)
         sent = rows[chosen]
-        addresses = [fleet.vehicles[row].address for row in sent.tolist()]
-        frames = pack_setpoints(numbers[chosen], fleet.system_ids[sent], fleet.router.senders(addresses))
-        fleet.router.send_all(addresses, frames)
+        routes = fleet.router.routes(fleet.addresses_of(sent))
+        fleet.router.send_all(routes, pack_setpoints(numbers[chosen], fleet.system_ids[sent], routes.senders))
         self._rounds_s.append(asyncio.get_running_loop().time())
         self._record(sent, wanted.of(chosen), now_s)
 

@@ -19,6 +19,7 @@ from fg_gcs.flight.sightings.sighting_sources import SightingSources, Substitute
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.mission.model import SETPOINTS_HZ, Mission
 from fg_gcs.plan.flight_plan import Task
+from fg_gcs.record.write.layouts import TRUTH
 from fg_gcs.track.estimate.group import GroupEstimate
 from fg_gcs.track.follow.replanner import FollowMode, Goal, Replan, Swarm
 from fg_gcs.track.following_core import QUIET_S, FollowingCore
@@ -374,9 +375,11 @@ class TargetFollower:
         truth = self._sources.truth(time_s) if len(time_s) else None
         if truth is None:
             return
-        for row, at_s in enumerate(time_s.tolist()):
-            for name, place in zip(self._names, truth[row].tolist(), strict=True):
-                recorder.truth.append((recorder.since_start_s(at_s), name, *place))
+        rows = recorder.truth.rows(truth.shape[0] * truth.shape[1])
+        rows["time_s"] = np.repeat(recorder.since_start_s(time_s), len(self._names))
+        rows["target"] = np.tile([TRUTH.text("target", name) for name in self._names], len(time_s))
+        rows["position_enu_m"] = truth.reshape(-1, 3)
+        recorder.truth.extend(rows)
 
     def _tell_record(self) -> None:
         """Let the record know since when targets are tracked, caught, and tracked no longer."""

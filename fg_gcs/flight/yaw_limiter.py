@@ -34,5 +34,6 @@ class YawRateLimiter:
         shortest = np.remainder(wanted_rad - before + np.pi, 2.0 * np.pi) - np.pi
         most = YAW_RATE_RAD_S * max(now_s - before_s, 0.0)
         yaw: Array = np.remainder(before + np.clip(shortest, -most, most) + np.pi, 2.0 * np.pi) - np.pi
-        self._headings = Headings(max(now_s, before_s), yaw)
+        known = np.where(np.isfinite(yaw), yaw, before)  # one that is not a number is none to turn on from
+        self._headings = Headings(max(now_s, before_s), known)
         return yaw

@@ -6,6 +6,7 @@ import re
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, cast
@@ -15,8 +16,7 @@ from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.wire.address import MAIN
 
 Address = tuple[str, int]
-Data = bytes | memoryview
-Datagram = tuple[Data, Address]  # what to send, and where to
+Datagram = tuple[bytes, Address]  # what to send, and where to
 
 FORMS: Final = "udpin:HOST:PORT (vehicles come to us), udpout:HOST:PORT (we call first) or tcp:HOST:PORT (we connect)"
 FIRST_PAUSE_S: Final = 0.5  # after a connection broke, before it is made again: SITL needs longer to start
@@ -28,7 +28,9 @@ _PATTERN: Final = re.compile(r"(?P<kind>[a-z]+):(?://)?(?:(?P<host>[^:/\s]*):)?(
 _NETWORK: Final = re.compile(r"\s*(?P<name>[^=]*?)\s*=(?P<endpoint>.*)", re.DOTALL)
 _NETWORK_NAME: Final = re.compile(r"[a-z0-9_-]{1,16}")
 _LOCAL: Final = "127.0.0.1"
-_BUFFER_BYTES: Final = 4 << 20  # nine vehicles send 3,300 datagrams a second; a planner may block the loop for one
+_BUFFER_BYTES: Final = 4 << 20  # asked of the system, which gives what its settings allow
+_RECEIVED_BYTES: Final = 12_500  # of a vehicle: 50 messages a second, each 1 kB of the system's memory, for 0.25 s
+_SENT_BYTES: Final = 1_000  # of a vehicle: one round of setpoints
 _MOST_DATAGRAM_BYTES: Final = 65536  # no datagram is longer
 _MOST_AT_ONCE: Final = 64  # datagrams read before the loop looks at its timers: half a millisecond of work
 _TCP_QUEUE_BYTES: Final = 64 << 10  # a second of setpoints to 20 vehicles; older ones are worth nothing
@@ -131,13 +133,17 @@ class Wire(ABC):
         self.errors = 0
         self._on_data = on_data
 
-    def send(self, data: Data, address: Address) -> None:
+    def send(self, data: bytes, address: Address) -> None:
         """Send whole frames to ``address``."""
         self.send_all(((data, address),))
 
     @abstractmethod
     def send_all(self, datagrams: Iterable[Datagram]) -> None:
         """Send whole frames, to the address of each; what the way out does not take is dropped."""
+
+    def shortages(self, vehicles: int) -> list[str]:
+        """Return what is too small for so many vehicles, a line for people each."""
+        return []
 
     @abstractmethod
     def close(self) -> None:
@@ -177,6 +183,21 @@ class UdpWire(Wire):
                 self.dropped += 1
             except OSError as error:  # such as a partner that is not there yet
                 self._failed(error)
+
+    def shortages(self, vehicles: int) -> list[str]:
+        """Return which buffers are smaller than so many vehicles need, and the setting that allows larger ones."""
+        found = []
+        for what, option, each_bytes, setting in (
+            ("receive", socket.SO_RCVBUF, _RECEIVED_BYTES, "net.core.rmem_max"),
+            ("send", socket.SO_SNDBUF, _SENT_BYTES, "net.core.wmem_max"),
+        ):
+            given, needed = self._socket.getsockopt(socket.SOL_SOCKET, option), vehicles * each_bytes
+            if given < needed:
+                found.append(
+                    f"{self.endpoint}: the {what} buffer holds {given / 1e3:.0f} kB, {vehicles} vehicles need "
+                    f"{needed / 1e3:.0f} kB: raise the system's {setting}"
+                )
+        return found
 
     def close(self) -> None:
         """Close the socket; may be called twice."""
@@ -402,8 +423,9 @@ async def _udp_socket(endpoint: Endpoint) -> socket.socket:
             continue
         try:
             own.setblocking(False)
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+            for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+                with suppress(OSError):  # some systems refuse what others cut: see `UdpWire.shortages`
+                    own.setsockopt(socket.SOL_SOCKET, option, _BUFFER_BYTES)
             if endpoint.kind is Kind.UDP_IN:
                 own.bind(address)
             else:

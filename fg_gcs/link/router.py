@@ -1,7 +1,7 @@
 """From sockets to vehicles and back: each message leaves once, to the address its vehicle was heard from."""
 
 import asyncio
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, NamedTuple, Self
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Data, Datagram, Endpoint, Wire, open_wire
+from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import profile_of
@@ -29,7 +29,7 @@ class Direction(Enum):
     OUT = "out"
 
 
-Tap = Callable[[Direction, Sequence[Data], float], None]
+Tap = Callable[[Direction, Sequence[bytes], float], None]
 OnFrame = Callable[[Vehicle, Frame, float], None]
 
 
@@ -64,13 +64,41 @@ class Counters(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Peer:
-    """One remote address: its own decoder and its own sequence numbers."""
+    """One remote address: its own decoder and its own sequence numbers.
+
+    Attributes:
+        vehicles: Those that speak from here, by their system ids.
+    """
 
     network: str
     wire: Wire
     address: Address
     codec: Codec = field(default_factory=Codec)
     sender: Sender = field(default_factory=Sender)
+    vehicles: dict[int, Vehicle] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Routes:
+    """The ways to some vehicles, each to where its vehicle was heard.
+
+    Attributes:
+        addresses: Of the vehicles.
+        senders: What numbers the frames to each of them; for `fg_gcs.wire.setpoint.pack_setpoints`.
+        by_wire: For each wire the vehicles' places among the addresses, and where their frames go.
+    """
+
+    addresses: tuple[VehicleAddress, ...]
+    senders: list[Sender]
+    by_wire: dict[Wire, list[tuple[int, Address]]]
+
+    @classmethod
+    def of(cls, addresses: tuple[VehicleAddress, ...], peers: Sequence[Peer]) -> Self:
+        """Return the ways to vehicles that are heard from these peers."""
+        by_wire: dict[Wire, list[tuple[int, Address]]] = {}
+        for place, peer in enumerate(peers):
+            by_wire.setdefault(peer.wire, []).append((place, peer.address))
+        return cls(addresses, [peer.sender for peer in peers], by_wire)
 
 
 class Router:
@@ -89,6 +117,7 @@ class Router:
         self._wires: list[Wire] = []
         self._peers: dict[tuple[int, Address], Peer] = {}  # by wire (its id) and address
         self._routes: dict[VehicleAddress, Peer] = {}
+        self._latest: Routes | None = None  # of the last round, while no vehicle has moved
         self._clashing: set[VehicleAddress] = set()
         self._frames_out = self._unroutable = self._clashes = 0
         self._time = time
@@ -136,32 +165,27 @@ class Router:
             errors=sum(wire.errors for wire in self._wires),
         )
 
-    def senders(self, addresses: Iterable[VehicleAddress]) -> list[Sender]:
-        """Return what numbers the frames to each of these vehicles; for `fg_gcs.wire.setpoint.pack_setpoints`.
+    def routes(self, addresses: tuple[VehicleAddress, ...]) -> Routes:
+        """Return the ways to these vehicles as they are now; to be asked for each round, as vehicles move.
 
         Raises:
             KeyError: One of them was never heard.
         """
-        return [self._routes[address].sender for address in addresses]
+        if self._latest is None or self._latest.addresses != addresses:
+            self._latest = Routes.of(addresses, [self._routes[address] for address in addresses])
+        return self._latest
 
-    def send_all(self, addresses: Iterable[VehicleAddress], frames: Frames) -> None:
+    def send_all(self, routes: Routes, frames: Frames) -> None:
         """Send each vehicle its own frame, once.
 
         Args:
-            addresses: Of the vehicles; each was heard.
-            frames: Packed by the vehicles' `senders`, shape (V, size).
-
-        Raises:
-            KeyError: One of them was never heard.
+            routes: The ways to the vehicles, see `routes`.
+            frames: Packed by the routes' senders, shape (V, size).
         """
-        size, data = frames.shape[1], memoryview(frames.tobytes())
+        size, data = frames.shape[1], frames.tobytes()
         rows = [data[start : start + size] for start in range(0, len(data), size)]
-        by_wire: dict[Wire, list[Datagram]] = {}
-        for address, row in zip(addresses, rows, strict=True):
-            peer = self._routes[address]
-            by_wire.setdefault(peer.wire, []).append((row, peer.address))
-        for wire, datagrams in by_wire.items():
-            wire.send_all(datagrams)
+        for wire, targets in routes.by_wire.items():
+            wire.send_all([(rows[place], address) for place, address in targets])
         self._frames_out += len(rows)
         if self._tap is not None and rows:
             self._tap(Direction.OUT, rows, self._time())
@@ -192,6 +216,12 @@ class Router:
             for vehicle in self.vehicles.values():
                 vehicle.watch(self._time())
 
+    def tell_shortages(self) -> None:
+        """Tell people of buffers that are too small for the vehicles heard so far; once, when all of them are."""
+        vehicles = Counter(peer.wire for peer in self._routes.values())
+        for wire, count in vehicles.items():
+            self.notices.extend(wire.shortages(count))
+
     def close(self) -> None:
         """Close all sockets; may be called twice."""
         for wire in self._wires:
@@ -219,7 +249,7 @@ class Router:
                 peer.codec.restart()
 
     def _receive(self, network: str, wire: Wire, address: Address, data: bytes) -> None:
-        peer = self._peer(network, wire, address)
+        peer = self._peers.get((id(wire), address)) or self._peer(network, wire, address)
         if peer is None:
             return
         now_s, frames = self._time(), peer.codec.receive(data)
@@ -227,30 +257,34 @@ class Router:
             self._tap(Direction.IN, [frame.raw for frame in frames], now_s)
         for frame in frames:
             if frame.component_id == _AUTOPILOT and is_known(frame):
-                self._dispatch(peer, frame, now_s)
+                vehicle = peer.vehicles.get(frame.system_id) or self._found(peer, frame, now_s)
+                if vehicle is not None:
+                    vehicle.handle(frame, now_s)
+                    if self._on_frame is not None:
+                        self._on_frame(vehicle, frame, now_s)
 
-    def _dispatch(self, peer: Peer, frame: Frame, now_s: float) -> None:
-        """Give an autopilot's message to its vehicle; a heartbeat makes one."""
+    def _found(self, peer: Peer, frame: Frame, now_s: float) -> Vehicle | None:
+        """Return the vehicle of an autopilot that was not heard from this peer before; a heartbeat makes one."""
         address = VehicleAddress(peer.network, frame.system_id)
         vehicle = self.vehicles.get(address)
-        if vehicle is None:
-            if frame.system_id in (0, GCS_SYSTEM) or frame.message_id != HEARTBEAT:
-                return
-            profile = profile_of(frame.fields())
-            if profile is None:
-                return
-            vehicle = self.vehicles[address] = Vehicle(address, profile, now_s)
-            self._routes[address] = peer
-        elif self._routes[address] is not peer and not self._moved(vehicle, peer, frame, now_s):
-            return
-        vehicle.handle(frame, now_s)
-        if self._on_frame is not None:
-            self._on_frame(vehicle, frame, now_s)
+        if vehicle is not None:
+            return vehicle if self._moved(vehicle, peer, frame, now_s) else None
+        if frame.system_id in (0, GCS_SYSTEM) or frame.message_id != HEARTBEAT:
+            return None
+        profile = profile_of(frame.fields())
+        if profile is None:
+            return None
+        vehicle = self.vehicles[address] = peer.vehicles[frame.system_id] = Vehicle(address, profile, now_s)
+        self._routes[address] = peer
+        return vehicle
 
     def _moved(self, vehicle: Vehicle, peer: Peer, frame: Frame, now_s: float) -> bool:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
         if now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT:
+            del self._routes[vehicle.address].vehicles[vehicle.system_id]
+            peer.vehicles[vehicle.system_id] = vehicle
             self._routes[vehicle.address] = peer
+            self._latest = None
             return True
         self._clashes += 1
         if vehicle.address not in self._clashing:

@@ -71,11 +71,12 @@ class Frame(NamedTuple):
     message_id: int
     system_id: int  # of the sender, as the component
     component_id: int
+    payload: bytes  # trailing zeros may be cut off
 
     def fields(self) -> Any:  # noqa: ANN401 - depends on the message
         """Return what a known message says: one of `fg_gcs.wire.messages`, or else pymavlink's own object."""
         read = READERS.get(self.message_id)
-        return dialect.MAVLink(None).decode(bytearray(self.raw)) if read is None else read(self._payload())
+        return dialect.MAVLink(None).decode(bytearray(self.raw)) if read is None else read(self.payload)
 
     def get_msgId(self) -> int:
         """Message id, negative for a message the dialect does not know."""
@@ -106,10 +107,6 @@ class Frame(NamedTuple):
         if not is_known(self):
             raise AttributeError(field)
         return getattr(self.fields(), field)
-
-    def _payload(self) -> bytes:
-        start = _HEADER_V2_BYTES if self.raw[0] == _MAGIC_V2 else _HEADER_V1_BYTES
-        return self.raw[start : start + self.raw[1]]
 
 
 def is_known(frame: Frame) -> bool:
@@ -173,11 +170,11 @@ class Codec:
         """Frame of the complete bytes ``[start, end)``, None if it does not check out."""
         if buffer[start] == _MAGIC_V2:
             length, _, _, _, system_id, component_id, low, high = _unpack_v2(buffer, start)
-            message_id, behind = low | high << 16, start + _HEADER_V2_BYTES + length
+            message_id, begin = low | high << 16, start + _HEADER_V2_BYTES
         else:
             length, _, system_id, component_id, message_id = _unpack_v1(buffer, start)
-            behind = start + _HEADER_V1_BYTES + length
-        crc_extra = _CRC_EXTRAS.get(message_id)
+            begin = start + _HEADER_V1_BYTES
+        behind, crc_extra = begin + length, _CRC_EXTRAS.get(message_id)
         if crc_extra is None:
             # Without the dialect's extra byte its checksum verifies nothing: it counts if a frame, or nothing, follows.
             if end < len(buffer) and buffer[end] not in (_MAGIC_V1, _MAGIC_V2):
@@ -185,7 +182,7 @@ class Codec:
             self.unknown_messages += 1
         elif _checksum(buffer[start + 1 : behind] + crc_extra) != buffer[behind] | buffer[behind + 1] << 8:
             return None
-        return Frame(buffer[start:end], message_id, system_id, component_id)
+        return Frame(buffer[start:end], message_id, system_id, component_id, buffer[begin:behind])
 
 
 def _frame_end(buffer: bytes, start: int) -> int | None:

@@ -21,6 +21,14 @@ class Heartbeat(NamedTuple):
     mavlink_version: int
 
 
+class CurrentMode(NamedTuple):
+    """CURRENT_MODE: what PX4 sends five times a second beside its heartbeat."""
+
+    custom_mode: int
+    intended_custom_mode: int
+    standard_mode: int  # MAV_STANDARD_MODE
+
+
 class SysStatus(NamedTuple):
     """SYS_STATUS: sensors, load, battery."""
 
@@ -108,6 +116,7 @@ READERS: Final[Mapping[int, Reader]] = MappingProxyType(
         kind.id: _reader(fields, kind)
         for fields, kind in (
             (Heartbeat, dialect.MAVLink_heartbeat_message),
+            (CurrentMode, dialect.MAVLink_current_mode_message),
             (SysStatus, dialect.MAVLink_sys_status_message),
             (ExtendedSysState, dialect.MAVLink_extended_sys_state_message),
             (LocalPositionNed, dialect.MAVLink_local_position_ned_message),

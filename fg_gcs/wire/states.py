@@ -72,7 +72,11 @@ class StateTable:
 
     def __getitem__(self, row: int) -> State:
         """Return one vehicle's state."""
-        return State._make(_ALL.unpack_from(self._data, row * _ALL.size))
+        return State._make(self.numbers(row))
+
+    def numbers(self, row: int) -> tuple[float, ...]:
+        """Return the numbers of one vehicle's `State`, where a tuple with names would take too long."""
+        return _ALL.unpack_from(self._data, row * _ALL.size)
 
     def __setitem__(self, row: int, state: State) -> None:
         """Set one vehicle's state."""

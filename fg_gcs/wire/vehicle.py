@@ -12,7 +12,7 @@ from fg_gcs.wire import params
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import AutopilotProfile, profile_of
 from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Frame, Message
-from fg_gcs.wire.messages import Attitude, ExtendedSysState, Heartbeat, LocalPositionNed, SysStatus
+from fg_gcs.wire.messages import Attitude, CurrentMode, ExtendedSysState, Heartbeat, LocalPositionNed, SysStatus
 from fg_gcs.wire.phases import Phase, PhaseEvent, following
 from fg_gcs.wire.states import State, StateTable
 from fg_gcs.wire.texts import Text, TextAssembler
@@ -272,7 +272,7 @@ class Vehicle:
         self._apply(PhaseEvent.HEARD, now_s)
         self._judge(now_s)
 
-    def _on_current_mode(self, message: Message, now_s: float) -> None:
+    def _on_current_mode(self, message: CurrentMode, now_s: float) -> None:
         self._set_mode(message.custom_mode)
         self._judge(now_s)
 

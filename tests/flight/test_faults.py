@@ -90,7 +90,7 @@ def test_random_bytes_at_the_port_are_dropped_and_counted(tmp_path: Path) -> Non
 
     async def shout(flight: Flight) -> None:
         await flight.reaches("prepare")
-        await asyncio.sleep(0.05)  # not before: PX4 takes the first sender for its ground station, for good
+        await asyncio.sleep(0.1)  # until we have spoken: PX4 takes the first sender for its ground station, for good
         draw = random.Random(3)
         transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(asyncio.DatagramProtocol)
         while True:

@@ -100,3 +100,9 @@ def test_no_time_turns_no_nose() -> None:
     assert limiter.turn(np.array([2.0]), 5.0).tolist() == [1.0]
     assert limiter.turn(np.array([2.0]), 4.0).tolist() == [1.0]
     assert limiter.turn(np.array([2.0]), 5.25) == pytest.approx([1.0 + 0.25 * YAW_RATE_RAD_S])
+
+
+def test_a_heading_that_is_no_number_is_forgotten() -> None:
+    limiter = YawRateLimiter(Headings(0.0, np.array([0.5, 0.5])))
+    assert np.isnan(limiter.turn(np.array([np.nan, 0.6]), 1.0)).tolist() == [True, False]
+    assert limiter.turn(np.array([0.7, 0.7]), 2.0) == pytest.approx([0.7, 0.7])

@@ -196,6 +196,23 @@ def test_a_full_way_out_drops_instead_of_growing() -> None:
     asyncio.run(main())
 
 
+def test_buffers_that_are_too_small_for_a_swarm_are_told_with_the_setting() -> None:
+    async def main() -> None:
+        own = socket.socket(type=socket.SOCK_DGRAM)
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 100_000)
+        wire = UdpWire(Endpoint(Kind.UDP_IN, "127.0.0.1", 9), Heard(), own)
+        given = own.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        (line,) = wire.shortages(60)
+        assert line == (
+            f"udpin:127.0.0.1:9: the receive buffer holds {given / 1e3:.0f} kB, 60 vehicles need 750 kB: "
+            "raise the system's net.core.rmem_max"
+        )
+        assert wire.shortages(4) == []
+        wire.close()
+
+    asyncio.run(main())
+
+
 def test_what_waits_is_read_in_its_order_and_not_all_at_once() -> None:
     async def main() -> None:
         port, heard = await free_port(), Heard()

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import VirtualTimeLoop
-from fg_gcs.link.endpoint import Data, Endpoint, Kind
+from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.router import MOST_PEERS, Direction, Router
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import MAIN, VehicleAddress
@@ -85,7 +85,8 @@ def test_each_message_leaves_once_to_its_own_vehicle() -> None:
         for system_id in (1, 2, 3):
             for _ in range(system_id):
                 numbers = np.full((1, NUMBERS), float(system_id))
-                router.send_all([at(system_id)], pack_setpoints(numbers, [system_id], router.senders([at(system_id)])))
+                routes = router.routes((at(system_id),))
+                router.send_all(routes, pack_setpoints(numbers, [system_id], routes.senders))
         router.send_message(at(2), commands.heartbeat())
         await settle()
         for system_id, fake in zip((1, 2, 3), fakes, strict=True):
@@ -105,7 +106,7 @@ def test_a_vehicle_that_was_never_heard_costs_a_count() -> None:
         router.send_message(at(9), commands.heartbeat())
         assert (router.counters.unroutable, router.counters.frames_out) == (1, 0)
         with pytest.raises(KeyError):
-            router.senders([at(9)])
+            router.routes((at(9),))
         router.close()
 
     virtually(main)
@@ -142,8 +143,8 @@ def test_profile_phase_and_messages_are_handed_on() -> None:
         def on_frame(vehicle: Vehicle, message: Message, now_s: float) -> None:
             seen.append((vehicle.system_id, message.get_type(), now_s))
 
-        def tap(direction: Direction, frames: Sequence[Data], _now_s: float) -> None:
-            taps.extend((direction, bytes(frame)) for frame in frames)
+        def tap(direction: Direction, frames: Sequence[bytes], _now_s: float) -> None:
+            taps.extend((direction, frame) for frame in frames)
 
         router = await Router.open({MAIN: [GROUND]}, on_frame=on_frame, tap=tap)
         copter, plane = await Fake.start(5, ARDUPILOT), await Fake.start(6, PX4)
@@ -233,14 +234,18 @@ def test_a_vehicle_that_restarts_on_another_port_is_found_again() -> None:
         before, after = await Fake.start(1), await Fake.start(1)
         before.beat()
         await settle(LOST_AFTER_S + 0.1)
+        routes = router.routes((at(1),))
+        assert router.routes((at(1),)) is routes
         after.say(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0))
         await settle()
         assert router.counters.clashes == 1  # only a heartbeat claims a system id
         after.beat()
         await settle()
         router.send_message(at(1), commands.heartbeat())
+        assert router.routes((at(1),)) is not routes
+        router.send_all(router.routes((at(1),)), pack_setpoints(np.ones((1, NUMBERS)), [1], [after.sender]))
         await settle()
-        assert (len(before.heard), len(after.heard)) == (0, 1)
+        assert (len(before.heard), len(after.heard)) == (0, 2)
         router.close()
 
     virtually(main)

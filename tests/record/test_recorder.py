@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fg_gcs.record.write.layouts import TELEMETRY, TICKS
+from fg_gcs.record.write.layouts import SETPOINTS, TELEMETRY, TICKS
 from fg_gcs.record.write.recorder import (
     BALLAST,
     EVENTS,
@@ -218,6 +218,32 @@ def fly_on(recorder: Recorder, begin_s: int, end_s: int, size: int = 200) -> Non
         recorder.event(float(second), "text", f"second {second}")
         recorder.flush()
         recorder.know(second=second)
+
+
+def test_many_rows_at_once_are_as_good_as_one_after_the_other(tmp_path: Path) -> None:
+    for name in ("one", "many"):
+        (tmp_path / name).mkdir()
+    numbers = np.arange(40.0).reshape(4, 10)
+    with Recorder(tmp_path / "one", "", 0.0, 0.0) as recorder:
+        for row in numbers.tolist():
+            recorder.setpoints.append((1.5, MAIN, 7, *row))
+    with Recorder(tmp_path / "many", "", 0.0, 0.0) as recorder:
+        rows = recorder.setpoints.rows(4)
+        rows["time_s"], rows["network"], rows["system_id"] = 1.5, SETPOINTS.text("network", MAIN), 7
+        rows["position_enu_m"], rows["velocity_enu_m_s"] = numbers[:, :3], numbers[:, 3:6]
+        rows["acceleration_enu_m_s2"], rows["yaw_rad"] = numbers[:, 6:9], numbers[:, 9]
+        recorder.setpoints.extend(rows)
+        recorder.setpoints.extend(recorder.setpoints.rows(0))
+    one, many = ((tmp_path / name / "setpoints.npy").read_bytes() for name in ("one", "many"))
+    assert one == many
+
+
+def test_rows_of_another_table_end_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    with Recorder(tmp_path, "", 0.0, 0.0) as recorder:
+        recorder.setpoints.extend(recorder.ticks.rows(1))
+        recorder.flush()
+        assert recorder.failure is not None
+        assert recorder.failure.text.startswith("setpoints.npy: a row does not fit its columns")
 
 
 def test_a_row_that_does_not_fit_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:

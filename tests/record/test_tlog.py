@@ -37,5 +37,5 @@ def test_other_programs_read_every_frame_with_its_time(tmp_path: Path) -> None:
 def test_a_record_is_its_stamp_and_its_frame() -> None:
     stamp = int((EPOCH_S + 1.5) * 1e6).to_bytes(8, "big")
     assert stamped([b"\xfdabc"], EPOCH_S + 1.5) == stamp + b"\xfdabc"
-    assert stamped([b"\xfda", memoryview(b"\xfdbc")], EPOCH_S + 1.5) == stamp + b"\xfda" + stamp + b"\xfdbc"
+    assert stamped([b"\xfda", b"\xfdbc"], EPOCH_S + 1.5) == stamp + b"\xfda" + stamp + b"\xfdbc"
     assert stamped([], EPOCH_S + 1.5) == b""

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from fastcrc import crc16
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
@@ -57,6 +57,7 @@ def test_what_comes_often_is_read_as_pymavlink_reads_it(
     is_signed: bool,
 ) -> None:
     signature = bytes(range(SIGNATURE_BYTES)) if is_signed and version == 2 else b""
+    assume(version == 2 or kind.id < 256)  # MAVLink 1 has ids of one byte
     data = framed(kind.id, payload, version=version, signature=signature)
     theirs = dialect.MAVLink(None).decode(bytearray(data))
     (ours,) = Codec().receive(data)

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path, PurePosixPath
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ BALLAST, BALLAST_BYTES = ".ballast", 131_072  # given up when the disk is full: 
 MOST_BUFFERED_BYTES = 262_144  # of a file, until it is written without being asked to
 UNFINISHED = "the run did not come to its end"
 
+Time = TypeVar("Time", float, NDArray[np.float64])
 Listener = Callable[[float, str, str], None]  # hears every event: time since the start [s], kind, text
 
 
@@ -185,11 +186,11 @@ class Recorder:
         self._is_closed = False
         self.know()
 
-    def since_start_s(self, now_s: float) -> float:
-        """Return the run's time of a reading of the clock [s]."""
+    def since_start_s(self, now_s: Time) -> Time:
+        """Return the run's time of a reading of the clock, or of many [s]."""
         return now_s - self._start_s
 
-    def frames(self, frames: Iterable[bytes | memoryview], now_s: float) -> None:
+    def frames(self, frames: Sequence[bytes], now_s: float) -> None:
         """Log whole MAVLink frames of either direction that passed at one time."""
         self._now_s = now_s - self._start_s
         try:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 STAMP = struct.Struct(">Q")  # microseconds since 1970, big-endian, before every frame
 
 
-def stamped(frames: Iterable[bytes | memoryview], unix_s: float) -> bytes:
+def stamped(frames: Sequence[bytes], unix_s: float) -> bytes:
     """Return what a tlog holds of whole frames that passed at a Unix time [s]."""
+    if not frames:
+        return b""
     stamp = STAMP.pack(int(unix_s * 1e6))
-    return b"".join([part for frame in frames for part in (stamp, frame)])
+    return stamp + stamp.join(frames)

@@ -1,0 +1,22 @@
+"""Garbage collections that hold up no setpoint."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def short_collections() -> Iterator[None]:
+    """Let collections look through what is made inside only, not through all that was there before.
+
+    A whole collection takes 34 ms with everything loaded that a flight needs (measured), longer than a round of
+    setpoints; what is loaded is no garbage.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
