@@ -90,7 +90,7 @@ class Routes:
 
     addresses: tuple[VehicleAddress, ...]
     senders: list[Sender]
-    by_wire: dict[Wire, list[tuple[int, Address]]]
+    by_wire: Mapping[Wire, Sequence[tuple[int, Address]]]
 
     @classmethod
     def of(cls, addresses: tuple[VehicleAddress, ...], peers: Sequence[Peer]) -> Self:

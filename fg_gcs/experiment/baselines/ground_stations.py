@@ -115,7 +115,9 @@ class Mavsdk:
         """Listen at a port of the loopback."""
         from mavsdk.asyncio import ComponentType, Configuration
         from mavsdk.asyncio import Mavsdk as Library
+        from mavsdk.logging import log_subscribe
 
+        log_subscribe(lambda *_: True)  # a line for each vehicle that comes or goes is no figure
         library = Library(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
         await library.add_any_connection(f"udpin://127.0.0.1:{port}")
         return cls(library)
