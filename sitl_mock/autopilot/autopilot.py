@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from sitl_mock.autopilot.battery import Battery
-from sitl_mock.autopilot.guidance import BodyState, Guidance, GuidanceRules
+from sitl_mock.autopilot.guidance import BodyState, Guidance, GuidanceRules, Target
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.autopilot.profile import Behaviour, FlightMode, Manners, ModeEvent, Need
 from sitl_mock.autopilot.setpoints import Interpretation, Pose, SetpointEffect, SetpointFields
@@ -106,7 +106,7 @@ class Autopilot:
         self.setpoint_at_s = -math.inf
         self.gcs_heard_at_s = -math.inf
         self.gcs_missed = False
-        self.reference = Reference()
+        self._own_reference: Reference | None = Reference()  # None: the setpoint is flown
         self.limits: Limits = self.guidance.limits()
         self.thrust = Thrust.OFF
         self.armed_at_s = -math.inf
@@ -192,6 +192,22 @@ class Autopilot:
         if self.failsafe is not None and self.armed:
             return SystemStatus.CRITICAL
         return self.rules.status(self)
+
+    @property
+    def reference(self) -> Reference:
+        """What the physics is asked to fly to."""
+        return self._own_reference or self.guidance.setpoint or Reference()
+
+    @property
+    def flies_stream(self) -> bool:
+        """Whether a plain setpoint would change nothing but the target, see `stream`."""
+        return self.thrust is Thrust.FLY and self._own_reference is None and self.guidance.streams
+
+    def stream(self, target: Target) -> None:
+        """Fly to the target of a plain setpoint that has just come; as `take_setpoint`, where `flies_stream`."""
+        self.enter(target.since_s)
+        self.setpoint_at_s = target.since_s
+        self.guidance.stream(target)
 
     def lacks(self, mode: FlightMode) -> bool:
         """Whether a mode needs what is not there now."""
@@ -358,7 +374,7 @@ class Autopilot:
             due_s = min(due_s, self.now_s + WATCH_S)
         if not self.armed:
             return due_s
-        follows = self.airborne and self.behaviour is Behaviour.FOLLOW and self.guidance.setpoint is not None
+        follows = self.airborne and self.behaviour is Behaviour.FOLLOW and self.guidance.has_setpoint
         if not follows or self.failsafe is not None or self.landed is not Landed.IN_AIR:
             return self.now_s
         return min(due_s, self.now_s + WATCH_S, self.rules.stream_lost_at_s(self))
@@ -377,7 +393,8 @@ class Autopilot:
         else:
             self.thrust = Thrust.FLY
             followed = self.guidance.followed() if self.behaviour is Behaviour.FOLLOW else None
-            self.reference, self.limits = followed or self.guidance.fly(self.behaviour, self.body)
+            reference, self.limits = followed or self.guidance.fly(self.behaviour, self.body)
+            self._own_reference = None if followed else reference
 
     def after(self, event: ModeEvent) -> FlightMode:
         """The mode that follows an event in the present mode."""

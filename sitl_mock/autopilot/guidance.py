@@ -36,6 +36,16 @@ class BodyState(NamedTuple):
         return -self.position_m[2]
 
 
+class Target(NamedTuple):
+    """What changes from one setpoint of a stream to the next; world NED."""
+
+    position_m: Vec3
+    velocity_m_s: Vec3
+    acceleration_m_s2: Vec3
+    yaw_rad: float
+    since_s: float
+
+
 class ReturnStage(Enum):
     """Where a return is."""
 
@@ -89,7 +99,8 @@ class Guidance:
         self._stage = ReturnStage.CLIMB
         self._since_s = 0.0
         self.takeoff_height_m = 0.0  # above the ground
-        self.setpoint: Reference | None = None
+        self._setpoint: Reference | None = None
+        self._streamed: Target | None = None  # newer than the setpoint, and else like it
         self._destination: Reference | None = None
         self._limits: dict[tuple[str, float | None, float | None], Limits] = {}  # of these parameters
         self._limits_of = -1
@@ -117,6 +128,44 @@ class Guidance:
     def descending(self) -> bool:
         """Whether a return is on its last leg."""
         return self._stage is ReturnStage.DESCEND
+
+    @property
+    def setpoint(self) -> Reference | None:
+        """The newest setpoint; None: there is none to follow."""
+        if self._streamed is not None and self._setpoint is not None:
+            position_m, velocity_m_s, acceleration_m_s2, yaw_rad, since_s = self._streamed
+            self._setpoint = self._setpoint._replace(
+                position_ned_m=position_m,
+                velocity_ned_m_s=velocity_m_s,
+                acceleration_ned_m_s2=acceleration_m_s2,
+                yaw_rad=yaw_rad,
+                since_s=since_s,
+            )
+            self._streamed = None
+        return self._setpoint
+
+    @setpoint.setter
+    def setpoint(self, reference: Reference | None) -> None:
+        self._setpoint = reference
+        self._streamed = None
+
+    @property
+    def has_setpoint(self) -> bool:
+        """Whether there is one."""
+        return self._setpoint is not None
+
+    @property
+    def streams(self) -> bool:
+        """Whether the setpoint is of the kind that streams are made of: another like it may be given to `stream`."""
+        setpoint = self._setpoint
+        if setpoint is None or setpoint.planned:
+            return False
+        plain = setpoint.position_used == ALL and setpoint.velocity_used == ALL
+        return plain and setpoint.yaw_rad is not None and setpoint.yaw_rate_rad_s == 0.0
+
+    def stream(self, target: Target) -> None:
+        """Follow a newer target; as setting a setpoint that has it and is else like the present one."""
+        self._streamed = target
 
     def followed(self) -> tuple[Reference, Limits] | None:
         """The newest setpoint, and the limits to fly it with; None: there is none to follow."""

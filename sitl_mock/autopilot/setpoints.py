@@ -63,13 +63,10 @@ class SetpointFields(NamedTuple):
 
     @property
     def is_plain(self) -> bool:
-        """Whether it says everything but a yaw rate, in the local frame and in numbers."""
-        if self.mask != PLAIN_MASK or self.frame != LOCAL_NED:
-            return False
-        (x, y, z), (u, v, w), (a, b, c) = self.position_m, self.velocity_m_s, self.acceleration_m_s2
-        # One comparison for all ten: NaN makes it false as infinity does.
-        length = x * x + y * y + z * z + u * u + v * v + w * w + a * a + b * b + c * c
-        return length + self.yaw_rad * self.yaw_rad < LARGEST_PLAIN
+        """Whether it is of the kind that streams are made of."""
+        return is_plain(
+            self.mask, self.frame, *self.position_m, *self.velocity_m_s, *self.acceleration_m_s2, self.yaw_rad
+        )
 
     def heading(self) -> tuple[float | None, float]:
         """Yaw [rad] (None: not given) and yaw rate [rad/s]; numbers that are not finite count as not given."""
@@ -79,6 +76,26 @@ class SetpointFields(NamedTuple):
             math.remainder(self.yaw_rad, 2.0 * math.pi) if given else None,
             self.yaw_rate_rad_s if rate else 0.0,
         )
+
+
+def is_plain(
+    mask: int,
+    frame: int,
+    x: float,
+    y: float,
+    z: float,
+    u: float,
+    v: float,
+    w: float,
+    a: float,
+    b: float,
+    c: float,
+    yaw_rad: float,
+) -> bool:
+    """Whether a setpoint says everything but a yaw rate, in the local frame and in numbers that no flight exceeds."""
+    # One comparison for all ten: NaN makes it false as infinity does.
+    length = x * x + y * y + z * z + u * u + v * v + w * w + a * a + b * b + c * c + yaw_rad * yaw_rad
+    return mask == PLAIN_MASK and frame == LOCAL_NED and length < LARGEST_PLAIN
 
 
 class Pose(NamedTuple):

@@ -110,12 +110,15 @@ class Incidents:
     def _meetings(self, span_s: float) -> list[int]:
         """Pairs of which at least one is in the air, and at least one is whole."""
         airborne = ~self._swarm.in_contact
-        pair = self._swarm.closest_pair(airborne, span_s)
-        if pair is None and not airborne.any():
+        flying = int(airborne.sum())
+        if not flying:
             return []
+        pair = self._swarm.closest_pair(airborne, span_s)
         if pair is not None and (self.closest is None or pair.distance_m < self.closest.distance_m):
             ids = (self._vehicles[pair.first].system_id, self._vehicles[pair.second].system_id)
             self.closest = Closest(self._swarm.time_s, ids, pair.distance_m)
+        if flying == len(airborne) and (pair is None or pair.distance_m >= self._body.width_m):
+            return []  # nobody can be met on the ground, and nobody came close in the air
         ended: list[int] = []
         for first, second, _ in self._swarm.pairs_within(self._body.width_m, span_s):
             both = (first, second)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import NamedTuple
@@ -13,8 +13,9 @@ import numpy as np
 
 from sitl_mock import profiles
 from sitl_mock.autopilot.autopilot import Autopilot, Setup
-from sitl_mock.autopilot.guidance import BodyState
+from sitl_mock.autopilot.guidance import BodyState, Target
 from sitl_mock.autopilot.profile import AutopilotProfile, Manners
+from sitl_mock.autopilot.setpoints import is_plain
 from sitl_mock.autopilot.table import VehicleTable, vec3
 from sitl_mock.faults.incidents import Incidents
 from sitl_mock.faults.schema import FaultOptions, check_mode, check_vehicles
@@ -26,7 +27,7 @@ from sitl_mock.physics.constants import Physics, load_physics
 from sitl_mock.physics.geodesy import Geodetic, World, frame_scale
 from sitl_mock.physics.reference import Limits, Reference, Thrust
 from sitl_mock.physics.swarm import Swarm
-from sitl_mock.protocol.codec import encode_rows
+from sitl_mock.protocol.codec import COMPONENT, encode_rows, plain_setpoint
 from sitl_mock.protocol.layouts import layout
 from sitl_mock.protocol.rows import Scene, sendable
 
@@ -152,6 +153,7 @@ class Fleet:
             self.vehicles.append(Vehicle(autopilot, self._dialect))
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
         self._tuned = [0] * len(self.vehicles)  # how many changes of parameters the control law knows
+        self._streams = [False] * len(self.vehicles)  # whether plain setpoints change nothing but the target
         self._rests_until_s = [0.0] * len(self.vehicles)
         autopilots = [vehicle.autopilot for vehicle in self.vehicles]
         self.stages = Stages(autopilots)
@@ -179,14 +181,16 @@ class Fleet:
             self.swarm.step()
             self._step += 1
             self._scene = None
-            if self._step % self.physics.time.logic_steps == 0:
-                for k in self.incidents.look(self.physics.time.logic_steps * self.physics.time.step_s):
+            if self._step % self.physics.time.encounter_steps == 0:
+                for k in self.incidents.look(self.physics.time.encounter_steps * self.physics.time.step_s):
                     self._rests_until_s[k] = self.swarm.time_s
                     self._command(k)
         return sent
 
     def receive(self, vehicle: int, link: int, data: bytes, now_s: float) -> list[Sent]:
         """Give one datagram to one vehicle, after `advance(now_s)`."""
+        if self._streams[vehicle] and self._stream(vehicle, link, data, now_s):
+            return []
         said = self.vehicles[vehicle].receive(link, data, now_s)
         rests_until_s = self.vehicles[vehicle].autopilot.rests_until_s
         if rests_until_s < self._rests_until_s[vehicle]:
@@ -205,7 +209,27 @@ class Fleet:
                 if now_s >= link.next_s - DUE_SLACK_S:
                     for name in link.due(now_s):
                         due.setdefault(name, []).append((k, j))
-        return [sent for name, whom in due.items() for sent in self._streamed(name, whom, now_s)]
+        sent: list[Sent] = []
+        for name, whom in due.items():
+            sent += self._streamed(name, whom, now_s)
+        return sent
+
+    def _stream(self, vehicle: int, link: int, data: bytes, now_s: float) -> bool:
+        """Take a datagram that is one more setpoint of a stream; False: it has to be read with care."""
+        values = plain_setpoint(data)
+        if values is None:
+            return False
+        _, x, y, z, u, v, w, a, b, c, yaw_rad, _, mask, system, component, frame = values
+        autopilot = self.vehicles[vehicle].autopilot
+        if system != autopilot.system_id or component != COMPONENT or not autopilot.links[link].texts_open:
+            return False
+        if not is_plain(mask, frame, x, y, z, u, v, w, a, b, c, yaw_rad):
+            return False
+        yaw_rad = math.remainder(yaw_rad, 2.0 * math.pi)
+        target = Target(self._table.world_m(vehicle, (x, y, z)), (u, v, w), (a, b, c), yaw_rad, now_s)
+        self.swarm.commands.stream(vehicle, *target)
+        autopilot.stream(target)
+        return True
 
     def _think(self) -> list[Sent]:
         """Run the logic of every vehicle that has something to decide."""
@@ -225,6 +249,8 @@ class Fleet:
 
     def _command(self, vehicle: int) -> None:
         autopilot = self.vehicles[vehicle].autopilot
+        # A link that has to be thawed by whatever comes is no matter for streams.
+        self._streams[vehicle] = autopilot.flies_stream and not autopilot.manners.parameter_freeze
         if autopilot.thrust is not Thrust.FLY:
             self.swarm.commands.flying[vehicle] = False
             self._given[vehicle] = None
@@ -245,22 +271,24 @@ class Fleet:
 
     # -- packing --------------------------------------------------------------------------------------------------
 
-    def _streamed(self, name: str, whom: list[tuple[int, int]], now_s: float) -> Iterator[Sent]:
+    def _streamed(self, name: str, whom: list[tuple[int, int]], now_s: float) -> list[Sent]:
         """One message of several vehicles, each on a link."""
         builder = self._dialect.row_builders.get(name)
         if builder is None:
+            sent: list[Sent] = []
             for k, link in whom:
                 self.vehicles[k].autopilot.enter(now_s)
-                yield from self._packed(k, [Outgoing(name, None, link)], now_s)
-            return
+                sent += self._packed(k, [Outgoing(name, None, link)], now_s)
+            return sent
         scene = self._scene_at(now_s)
         whom = [(k, link) for k, link in whom if sendable(builder, scene, k) and self._talks(k, link, now_s)]
-        if whom:
-            payloads = builder.payloads(scene, np.array([k for k, _ in whom]))
-            codecs = [self.vehicles[k].codecs[link] for k, link in whom]
-            ids = [self.vehicles[k].autopilot.system_id for k, _ in whom]
-            for (k, link), data in zip(whom, encode_rows(layout(name), payloads, codecs, ids), strict=True):
-                yield Sent(k, link, data)
+        if not whom:
+            return []
+        payloads = builder.payloads(scene, np.array([k for k, _ in whom]))
+        codecs = [self.vehicles[k].codecs[link] for k, link in whom]
+        ids = [self.vehicles[k].autopilot.system_id for k, _ in whom]
+        frames = encode_rows(layout(name), payloads, codecs, ids)
+        return [Sent(k, link, frame) for (k, link), frame in zip(whom, frames, strict=True)]
 
     def _packed(self, vehicle: int, messages: list[Outgoing], now_s: float) -> list[Sent]:
         """What a vehicle says, as bytes; what it cannot say now is left out."""

@@ -133,6 +133,7 @@ class _Port(asyncio.DatagramProtocol):
         self._sticky = simulator.fleet.profile.first_sender_is_partner
         self._replaced = simulator.options.manners.new_partner
         self._heard_s: float | None = None  # the partner
+        self._settled = False  # nothing that the partner sends can change who it is
         self._transport: asyncio.DatagramTransport | None = None
         self.dropped = 0
         self.errors = 0
@@ -142,17 +143,25 @@ class _Port(asyncio.DatagramProtocol):
         self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: tuple[str | Any, int]) -> None:
-        sender = (str(addr[0]), int(addr[1]))
+        if not self._settled or addr != self._partner:
+            sender = (str(addr[0]), int(addr[1]))
+            if not self._listens_to(sender):
+                self.dropped += 1
+                return
+        self._simulator.receive(self._vehicle, self._link, data)
+
+    def _listens_to(self, sender: Address) -> bool:
+        """Whether a sender is obeyed; telemetry may go there from now on."""
         now_s = self._simulator.now_s
-        if not self._sticky and sender != self._partner:
-            self.dropped += 1
-            return
+        if not self._sticky:
+            return sender == self._partner
         silent_s = math.inf if self._heard_s is None else now_s - self._heard_s if self._replaced else 0.0
-        if self._sticky and (silent_s > PARTNER_SILENT_S or self._simulator.is_frozen(self._vehicle, self._link)):
+        if silent_s > PARTNER_SILENT_S or self._simulator.is_frozen(self._vehicle, self._link):
             self._partner = sender
         if sender == self._partner:
             self._heard_s = now_s
-        self._simulator.receive(self._vehicle, self._link, data)
+            self._settled = not self._replaced and not self._simulator.options.manners.parameter_freeze
+        return True
 
     def error_received(self, exc: Exception) -> None:
         self.errors += 1

@@ -15,6 +15,7 @@ class Timing:
 
     step_s: float  # [s] physics
     logic_steps: int  # physics steps between two runs of the autopilot logic
+    encounter_steps: int  # physics steps between two comparisons of all vehicles with each other and the ground
     tick_s: float  # [s] server
     catch_up_s: float  # [s] longest stall that is made up
 

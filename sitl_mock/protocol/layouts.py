@@ -44,6 +44,7 @@ class Layout:
         crc_extra: what its checksum covers beside the frame.
         size: of the whole payload, in bytes.
         names: its fields in the order of the wire.
+        unpack_whole: from a whole payload to its values, where there are no texts and arrays.
     """
 
     def __init__(self, kind: Any) -> None:  # noqa: ANN401  # one of pymavlink's message classes
@@ -53,6 +54,7 @@ class Layout:
         self.crc_extra = bytes([kind.crc_extra])
         self.names: tuple[str, ...] = tuple(kind.ordered_fieldnames)
         self._struct = struct.Struct(kind.unpacker.format)
+        self.unpack_whole = self._struct.unpack  # of a whole payload without texts and arrays
         self.size = self._struct.size
         types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
         # The number of elements of each field that is an array of numbers; texts are one element.
