@@ -129,6 +129,9 @@ def _add_trouble(parser: argparse.ArgumentParser) -> None:
         help='an impairment of links: a JSON object with "loss", "delay_s", "jitter_s", "reorder", "duplicate" or '
         '"corrupt", and if wanted "vehicles", "at_s", "stage", "for_s", "direction" and "messages"; repeat for more',
     )
+    group.add_argument(
+        "--harmless", action="store_true", help="vehicles that hit each other or the ground fly on; it is only told"
+    )
     group.add_argument("--list-faults", action=_ListFaults, help="print all kinds and keys, and exit")
     group = parser.add_argument_group("manners of other versions")
     for name, text in (
@@ -232,6 +235,7 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
         wind_m_s=arguments.wind,
         targets=targets,
         truth=arguments.truth,
+        collisions=not arguments.harmless,
         dynamics=arguments.dynamics,
         lockstep=arguments.lockstep,
         faults=tuple(_read("--fault", parse_fault, text) for text in arguments.fault or ()),

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 # it has no other name
 
-EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "formulations", "moving", "figures", "all")
+EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "formulations", "moving", "measured", "figures", "all")
 
 EPILOG = """\
 examples:

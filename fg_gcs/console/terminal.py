@@ -308,6 +308,7 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
     for key, name in (("bad_bytes", "bytes that were no MAVLink"), ("unknown_messages", "unknown messages")):
         if summary[key]:
             lines.append((name, f"{summary[key]} dropped"))
+    lines += [("hit", text) for text in RunSummary(summary).incidents]
     if summary.get("recording_complete") is False:
         lines.append(("recording", f"incomplete, and so are these figures: {summary['recording_failure']}"))
     if summary.get("vehicles_not_down"):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from fg_gcs.experiment.baseline import Progress, Stopwatch
 from fg_gcs.experiment.flights import flights_table, fly_all
 from fg_gcs.experiment.formulations import formulations
+from fg_gcs.experiment.measured import measured
 from fg_gcs.experiment.moving_targets import (
     DRAWN,
     SEEDS,
@@ -103,6 +104,7 @@ def experiments(stopwatch: Stopwatch, progress: Progress, out: Path) -> dict[str
         "figures": lambda: run_figures(stopwatch, progress, out),
         "multi": lambda: ExperimentResult((multi(stopwatch, progress),)),
         "moving": lambda: run_moving(stopwatch, progress, out),
+        "measured": lambda: ExperimentResult((measured(progress),)),
         "formulations": lambda: ExperimentResult((formulations(stopwatch, progress),)),
         "sensitivity": lambda: ExperimentResult(sensitivity(stopwatch, progress)),
     }

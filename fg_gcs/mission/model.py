@@ -272,6 +272,7 @@ class SimulatorTable(MissionTable):
     dynamics: Literal["paper", "measured"] = Field(
         default="paper", description='"paper" or "measured": as the real autopilots fly (default "paper")'
     )
+    collisions: bool = Field(default=True, description="true or false (default true)")
     strict_commands: bool = Field(default=False, description="true or false (default false)")
     new_partner: bool = Field(default=False, description="true or false (default false)")
     parameter_freeze: bool = Field(default=False, description="true or false (default false)")

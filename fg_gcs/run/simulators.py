@@ -111,6 +111,7 @@ def options_of(mission: Mission, wanted: SimulatorWish, port: int, truth: Path |
         seed=mission.simulator.seed,
         wind_m_s=mission.simulator.wind_m_s,
         dynamics=wanted.dynamics,
+        collisions=mission.simulator.collisions,
         manners=Manners(**{name: getattr(mission.simulator, name) for name in MANNERS}),
         faults=tuple(map(parse_fault, wanted.faults)),
         impairments=tuple(map(parse_impairment, wanted.impairments)),
@@ -307,6 +308,8 @@ def _arguments(mission: Mission, wanted: SimulatorWish, port: int, speed: float,
         "truth": truth,
     }
     switches = [f"--{name.replace('_', '-')}" for name in MANNERS if getattr(mission.simulator, name)]
+    if not mission.simulator.collisions:
+        switches.append("--harmless")
     faults = [f"--fault={json.dumps(fault)}" for fault in wanted.faults]
     return [*_options(values), *switches, *faults, *(f"--impair={json.dumps(each)}" for each in wanted.impairments)]
 

@@ -63,18 +63,23 @@ class Incidents:
         swarm: where they are.
         vehicles: their autopilots, in the order of the rows.
         body: what they are like.
+        harmless: whatever is hit, they fly on; it is told all the same.
 
     Attributes:
         found: so far.
         closest: that two in the air ever came; None: there never were two.
     """
 
-    def __init__(self, swarm: Swarm, vehicles: Sequence[Autopilot], body: BodyLimits) -> None:
+    def __init__(
+        self, swarm: Swarm, vehicles: Sequence[Autopilot], body: BodyLimits, *, harmless: bool = False
+    ) -> None:
         self.found: list[Incident] = []
         self.closest: Closest | None = None
         self._swarm = swarm
         self._vehicles = tuple(vehicles)
         self._body = body
+        self._harmless = harmless
+        self._near: set[tuple[int, int]] = set()  # pairs that are still as close as they were when they collided
         self._touched = swarm.in_contact.copy()
 
     def look(self, span_s: float) -> list[int]:
@@ -90,6 +95,8 @@ class Incidents:
         if len(self._vehicles) > 1:
             ended += self._meetings(span_s)
         self._touched[:] = self._swarm.in_contact
+        if self._harmless:
+            return []
         for row in ended:
             self._vehicles[row].enter(self._swarm.time_s)
             self._vehicles[row].crash()
@@ -118,11 +125,14 @@ class Incidents:
             ids = (self._vehicles[pair.first].system_id, self._vehicles[pair.second].system_id)
             self.closest = Closest(self._swarm.time_s, ids, pair.distance_m)
         if flying == len(airborne) and (pair is None or pair.distance_m >= self._body.width_m):
+            self._near.clear()
             return []  # nobody can be met on the ground, and nobody came close in the air
         ended: list[int] = []
+        before, self._near = self._near, set()
         for first, second, _ in self._swarm.pairs_within(self._body.width_m, span_s):
             both = (first, second)
-            if not airborne[list(both)].any() or all(self._vehicles[row].wrecked for row in both):
+            self._near.add(both)
+            if both in before or not airborne[list(both)].any() or all(self._vehicles[row].wrecked for row in both):
                 continue
             velocities = self._swarm.velocity_m_s[list(both)]
             speeds = tuple(np.linalg.norm(velocities, axis=1).tolist())

@@ -51,6 +51,7 @@ class FleetOptions:
         dynamics: "paper": the paper's particle; "measured": what the real autopilots were measured to do.
         manners: of other versions of the autopilot.
         faults: inside vehicles, see `sitl_mock.parse_fault`.
+        collisions: vehicles that hit each other or the ground have flown for the last time; if not, it is only told.
 
     Raises:
         ValueError: options that contradict each other or mean nothing; one line that says which.
@@ -66,6 +67,7 @@ class FleetOptions:
     dynamics: str = "paper"
     manners: Manners = field(default_factory=Manners)
     faults: tuple[FaultOptions, ...] = ()
+    collisions: bool = True
 
     def __post_init__(self) -> None:
         pads = len(self.pads_enu_m)
@@ -159,7 +161,7 @@ class Fleet:
         self.stages = Stages(autopilots)
         subjects = [Subject(k, v.autopilot, self.swarm.disturbances) for k, v in enumerate(self.vehicles)]
         self._faults = FaultSchedule(options.faults, subjects, self.stages)
-        self.incidents = Incidents(self.swarm, autopilots, self.physics.body)
+        self.incidents = Incidents(self.swarm, autopilots, self.physics.body, harmless=not options.collisions)
         self._step = 0
         self._scene: Scene | None = None  # the newest
 

@@ -103,3 +103,18 @@ def test_the_truth_is_written_down(tmp_path: Path) -> None:
     told = json.loads(path.read_text())
     assert told["closest"]["vehicles"] == [1, 2]
     assert told["closest"]["distance_m"] == pytest.approx(3.0, abs=0.01)
+
+
+def test_harmless_collisions_are_told_once_and_hurt_nobody() -> None:
+    """Ghosts: a pair that stays close has met once; after it has parted it can meet again."""
+    pads = ((0.0, 0.0), (3.0, 0.0))
+    here = World(SimulatorOptions(pads_enu_m=pads, port_base=18570, collisions=False))
+    here.run(2.0)
+    swarm, incidents = here.simulator.fleet.swarm, here.simulator.fleet.incidents
+    for gap_m, met in ((0.3, 1), (0.2, 1), (2.0, 1), (0.3, 2)):
+        swarm.position_m[:] = ((0.0, 0.0, -50.0), (0.0, gap_m, -50.0))
+        swarm.velocity_m_s[:] = 0.0
+        here.run(0.2)
+        assert len(incidents.found) == met
+    assert not any(vehicle.autopilot.wrecked for vehicle in here.simulator.fleet.vehicles)
+    here.close()

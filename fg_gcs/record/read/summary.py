@@ -66,6 +66,12 @@ class RunSummary:
         """Return vehicles, in their order."""
         return tuple(VehicleAddress.labelled(label) for label in self._if(_is_labels, key, []))
 
+    @property
+    def incidents(self) -> tuple[str, ...]:
+        """What simulated vehicles truly hit, a line each; empty where that is not known."""
+        hits = [hit for key in ("collisions", "ground_strikes") for hit in self._if(_is_incidents, key, ())]
+        return tuple(hit["text"] for hit in hits)
+
     def point(self, key: str) -> Array | None:
         """Return a place, shape (3,)."""
         value = self._if(_is_point, key, None)
@@ -136,6 +142,10 @@ def _is_point(value: object) -> bool:
     return isinstance(value, list) and len(value) == 3 and all(as_number(each) is not None for each in value)
 
 
+def _is_incidents(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(each, dict) and _is_text(each.get("text")) for each in value)
+
+
 def _is_durations(value: object) -> bool:
     return isinstance(value, list) and all(each is None or _is_time(each) for each in value)
 
@@ -174,6 +184,8 @@ KINDS: dict[str, Kind] = {  # keys that are more than a figure, and what they ha
     "sightings_rejected": _is_counts,
     "limits": _is_limits,
     "recording_missing": _is_missing,
+    "collisions": _is_incidents,
+    "ground_strikes": _is_incidents,
     "tracking": lambda value: (
         isinstance(value, dict) and all(each is None or _is_time(each) for each in value.values())
     ),

@@ -260,6 +260,12 @@ def _figures(run: EvaluatedRun) -> Iterator[Row]:
     far_enough = None if flown is None or limit is None else flown >= limit
     planned = "" if moves else _text(number("min_separation_m"), "m")
     yield _row("Smallest separation", _text(limit, "m", None, "≥ "), planned, _text(flown, "m"), far_enough)
+    true_m = number("true_min_separation_m")
+    if true_m is not None:
+        truly = None if limit is None else true_m >= limit
+        yield _row("Smallest true separation in the air", _text(limit, "m", None, "≥ "), "", _text(true_m, "m"), truly)
+    for hit in run.summary.incidents:
+        yield _row("Hit", "nothing", "", hit, kept=False)
     planned, held = _text(number("flux_metric"), "", 3), _text(number("flown_flux_metric"), "", 3)
     planned = "" if moves else planned
     yield _row("Flux metric at the hold (1 is best)", "", planned, held)
