@@ -313,8 +313,8 @@ def _reach_velocity(
 
 
 @kernel
-def axis_at(table: Array, counts: NDArray[np.int_], d: int, near: int, time: float) -> tuple[int, float, float, float]:
-    """Return an axis's phase at a time, searched for from another one on, and its position and two derivatives."""
+def axis_at(table: Array, counts: NDArray[np.int_], d: int, near: int, time: float) -> tuple[int, Motion]:
+    """Return an axis's phase at a time, searched for from another one on, and how it moves then."""
     phase = near
     while phase < counts[d] and time >= table[d, phase + 1, 0]:
         phase += 1
@@ -327,7 +327,7 @@ def axis_at(table: Array, counts: NDArray[np.int_], d: int, near: int, time: flo
         acceleration = acceleration * t + 2.0 * velocity
         velocity = velocity * t + position
         position = position * t + row[power]
-    return phase, position, velocity, acceleration
+    return phase, (position, velocity, acceleration)
 
 
 @kernel
@@ -337,5 +337,6 @@ def _states(table: Array, counts: NDArray[np.int_], times: Array) -> Array:
     for d in range(len(counts)):
         phase = 0
         for i in range(len(times)):
-            phase, states[i, 0, d], states[i, 1, d], states[i, 2, d] = axis_at(table, counts, d, phase, times[i])
+            phase, motion = axis_at(table, counts, d, phase, times[i])
+            states[i, 0, d], states[i, 1, d], states[i, 2, d] = motion
     return states

@@ -120,16 +120,13 @@ def _axes_at(
     for d in range(AXES):
         phase = 0
         for i in range(len(times)):
-            if d >= 3:
-                states = axis_at(turning, turning_counts, d - 3, phase, times[i])
-                phase = states[0]
+            if d < 3:
+                phase, motion = axis_at(moving, moving_counts, d, phase, times[i])
                 for order in range(3):
-                    axes[i, order, d] = states[1 + order]
+                    for k in range(3):
+                        axes[i, order, k] += motion[order] * columns[k, d]
             else:
-                states = axis_at(moving, moving_counts, d, phase, times[i])
-                phase = states[0]
-                for k in range(3):
-                    axes[i, 0, k] += states[1] * columns[k, d]
-                    axes[i, 1, k] += states[2] * columns[k, d]
-                    axes[i, 2, k] += states[3] * columns[k, d]
+                phase, motion = axis_at(turning, turning_counts, d - 3, phase, times[i])
+                for order in range(3):
+                    axes[i, order, d] = motion[order]
     return axes
