@@ -17,10 +17,12 @@ from fg_gcs.flight.motions import FormationMotion, Gaze, Headings
 from fg_gcs.flight.planning import LATE_S, Durations, Planning
 from fg_gcs.flight.sightings.sighting_sources import SightingSources, Substitutes
 from fg_gcs.flight.streamer import Streamer
+from fg_gcs.flight.yaw_limiter import YawRateLimiter
 from fg_gcs.mission.model import SETPOINTS_HZ, Mission
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.record.write.layouts import TRUTH
 from fg_gcs.track.estimate.group import GroupEstimate
+from fg_gcs.track.follow.axes import Axes
 from fg_gcs.track.follow.replanner import FollowMode, Goal, Replan, Swarm
 from fg_gcs.track.following_core import QUIET_S, FollowingCore
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
@@ -413,5 +415,7 @@ def warm_up(mission: Mission) -> None:
         core.replan(now_s)
     rows = range(len(swarm.slots_m))
     headings = Headings(0.0, np.zeros(len(rows)))
-    FormationMotion.beginning(rows, swarm.slots_m, core.trajectory, np.zeros(3), headings).at(1.0)
+    wanted = FormationMotion.beginning(rows, swarm.slots_m, core.trajectory, np.zeros(3), headings).at(1.0)
+    YawRateLimiter(headings).turn(wanted.yaw_rad, 1.0)
     core.replanner.stop(99.0)
+    Axes(0.0, np.zeros((3, 3))).smoothly(np.zeros((3, 3)), 1.0)  # nothing above came near enough to a target for it

@@ -207,9 +207,7 @@ def _starts(table: Array, counts: NDArray[np.int_]) -> Array:
 
 
 @kernel
-def _smooth(
-    table: Array, counts: NDArray[np.int_], begin: float, state: Array, goal: Array, duration: float
-) -> float:
+def _smooth(table: Array, counts: NDArray[np.int_], begin: float, state: Array, goal: Array, duration: float) -> float:
     """Append a polynomial of fifth degree for each axis, and turn the state, (3, D), into the goal.
 
     Returns the norm of the jerk that they start with.
@@ -295,7 +293,7 @@ def _reach_velocity(
         now, motion = begin, (state[0, d], state[1, d], state[2, d])
         beyond = motion[2] - min(max(motion[2], low), high)
         now, motion = _pushed(table, counts, d, now, motion, -math.copysign(j, beyond), abs(beyond) / j)
-        place, velocity, a = motion
+        _, velocity, a = motion
         side = 1.0 if goal[d] - velocity >= a * abs(a) / (2.0 * j) else -1.0
         change, a, most = side * (goal[d] - velocity), side * a, high if side > 0.0 else -low
         peak = min(math.sqrt(max(j * change + 0.5 * a * a, 0.0)), most)

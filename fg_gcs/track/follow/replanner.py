@@ -182,19 +182,10 @@ class Replanner:
             trajectory = self._stopped(state, attitude, goal.scale, now_s)
             yield self._taken(trajectory, FollowMode.TURN)
             return
-        run_on_s = max(RUN_ON_S - goal.age_s, 0.0)
         join = self._join(state, attitude, goal, now_s)
-        for takes_s in SMOOTH_S if join is not None else ():
-            trajectory = self._joined(join, takes_s, min(SHORTLY_S, run_on_s))
-            if trajectory is None:  # that is known at once
-                continue
-            yield None
-            if self._holds(trajectory):
-                yield None
-                longer = self._joined(join, takes_s, run_on_s)
-                yield self._taken(
-                    longer if longer is not None and self._holds(longer) else trajectory, FollowMode.FOLLOW
-                )
+        for replan in self._joining(join) if join is not None else ():
+            yield replan
+            if replan is not None:
                 return
         for limit_shares in dict.fromkeys((*(self._swinging(state, each) for each in EFFORTS), *EFFORTS)):
             yield None
@@ -203,6 +194,21 @@ class Replanner:
                 yield self._taken(trajectory, FollowMode.APPROACH)
                 return
         yield self._taken(None, self.mode)
+
+    def _joining(self, join: Join) -> Iterator[Replan | None]:
+        """Search for a smooth way to join the target, in steps as above; none in the end if there is no such way."""
+        run_on_s = max(RUN_ON_S - join.goal.age_s, 0.0)
+        for takes_s in SMOOTH_S:
+            trajectory = self._joined(join, takes_s, min(SHORTLY_S, run_on_s))
+            if trajectory is None:  # which is known at once
+                continue
+            yield None
+            if self._holds(trajectory):
+                yield None
+                longer = self._joined(join, takes_s, run_on_s)
+                best = longer if longer is not None and self._holds(longer) else trajectory
+                yield self._taken(best, FollowMode.FOLLOW)
+                return
 
     def wait(self, scale: float, now_s: float) -> Replan:
         """Come to rest where the present trajectory does, and change the formation's size there."""
