@@ -6,11 +6,13 @@ metres from an origin of its own, so one :class:`LocalFrame` a vehicle, learnt o
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
 
 # WGS84 defining constants (NIMA TR8350.2)
@@ -61,13 +63,38 @@ def rotate_ned_enu(vector: Vector) -> Vector:
 
 def swap_ned_enu(vector: Array) -> Array:
     """Turn NED components into ENU ones or back, shape (..., 3): swap the first two, negate the third."""
-    swapped: Array = np.asarray(vector, dtype=float)[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+    given = np.asarray(vector, dtype=float)
+    swapped = np.empty_like(given)
+    swapped[..., 0], swapped[..., 1] = given[..., 1], given[..., 0]
+    np.negative(given[..., 2], out=swapped[..., 2])
     return swapped
 
 
-def yaw_from_enu(direction_enu: Array) -> Array:
-    """Return the heading of directions, clockwise from north; (..., 3) or (..., 2) to (...) [rad; (-pi, pi]]."""
-    return np.arctan2(direction_enu[..., 0], direction_enu[..., 1])
+@kernel
+def yaw_from_enu(east: float, north: float) -> float:
+    """Return the heading of a direction, clockwise from north [rad; [-pi, pi]]."""
+    return math.atan2(east, north)
+
+
+@kernel
+def turned_towards(before_rad: Array, wanted_rad: Array, most_rad: float) -> Array:
+    """Return headings turned towards wanted ones the short way, by no more than an angle.
+
+    Args:
+        before_rad: where they point, shape (V,) [rad].
+        wanted_rad: where they are to point, shape (V,) [rad]; one that is no number leads to none.
+        most_rad: angle, >= 0 [rad].
+
+    Returns:
+        Headings, shape (V,) [rad; [-pi, pi)].
+    """
+    turned = np.empty(len(before_rad))
+    for v in range(len(before_rad)):
+        shortest = (wanted_rad[v] - before_rad[v] + math.pi) % (2.0 * math.pi) - math.pi
+        if math.isfinite(shortest):
+            shortest = min(max(shortest, -most_rad), most_rad)
+        turned[v] = (before_rad[v] + shortest + math.pi) % (2.0 * math.pi) - math.pi
+    return turned
 
 
 def enu_from_geodetic(place: Geodetic, origin: Geodetic) -> Array:

@@ -17,10 +17,12 @@ from fg_gcs.flight.motions import FormationMotion, Gaze, Headings
 from fg_gcs.flight.planning import LATE_S, Durations, Planning
 from fg_gcs.flight.sightings.sighting_sources import SightingSources, Substitutes
 from fg_gcs.flight.streamer import Streamer
+from fg_gcs.flight.yaw_limiter import YawRateLimiter
 from fg_gcs.mission.model import SETPOINTS_HZ, Mission
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.record.write.layouts import TRUTH
 from fg_gcs.track.estimate.group import GroupEstimate
+from fg_gcs.track.follow.axes import Axes
 from fg_gcs.track.follow.replanner import FollowMode, Goal, Replan, Swarm
 from fg_gcs.track.following_core import QUIET_S, FollowingCore
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
@@ -203,13 +205,14 @@ class TargetFollower:
             return None
         now_s = self._time()
         self._measure()
+        known = self._core.known(now_s)
         caught = self.caught_s is not None
         uncaught_s = np.inf if caught else self._track.give_up_s - (now_s - self._began_s)
         return TrackingStatus(
             self._core.replanner.mode,
             len(self._names),
-            self._core.known(now_s),
-            self._core.error_m(now_s),
+            known,
+            np.inf if known is None else self._core.error_m(known),
             float(self._core.trajectory.frames(np.array([now_s])).scale[0]) / self._task.start.scale,
             now_s >= self._core.trajectory.end_s,
             caught,
@@ -304,7 +307,7 @@ class TargetFollower:
             return
         sighted_s, stamp_s = self._sighted_s, self._stamp_s
         self._sighted_s = self._stamp_s = np.nan  # what comes from now on is for the next trajectory
-        replan = await self._planning.result(core.replanning(now_s), lambda: self._ended_s is not None)
+        replan = await self._planning.result(core.replanning(known), lambda: self._ended_s is not None)
         if replan is None:  # the present trajectory goes on, and it was verified
             self._sighted_s, self._stamp_s = np.fmin(sighted_s, self._sighted_s), np.fmin(stamp_s, self._stamp_s)
             if self._planning.late and not self._told_late:
@@ -321,7 +324,7 @@ class TargetFollower:
         if self._streamer.due_s - sighted_s > self._streamer.period_s:  # it had to let a round pass already
             self._streamer.send_now()
         self._durations.add(self._stopwatch() - began_s)
-        self._write(replan, known, (now_s, sighted_s, planned_s), core.error_m(now_s))
+        self._write(replan, known, (now_s, sighted_s, planned_s), core.error_m(known))
         self._tell(replan.mode, known)
         if not was_caught and core.caught_s is not None:
             self._journal.event("track", f"the target is caught after {now_s - self._began_s:.1f} s")
@@ -412,5 +415,7 @@ def warm_up(mission: Mission) -> None:
         core.replan(now_s)
     rows = range(len(swarm.slots_m))
     headings = Headings(0.0, np.zeros(len(rows)))
-    FormationMotion.beginning(rows, swarm.slots_m, core.trajectory, np.zeros(3), headings).at(1.0)
+    wanted = FormationMotion.beginning(rows, swarm.slots_m, core.trajectory, np.zeros(3), headings).at(1.0)
+    YawRateLimiter(headings).turn(wanted.yaw_rad, 1.0)
     core.replanner.stop(99.0)
+    Axes(0.0, np.zeros((3, 3))).smoothly(np.zeros((3, 3)), 1.0)  # nothing above came near enough to a target for it

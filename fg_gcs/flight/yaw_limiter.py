@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.core.frames import turned_towards
 from fg_gcs.flight.motions import Headings
 
 YAW_RATE_RAD_S = 1.0  # autopilots turn about as fast; what the target does, and noise in its estimate, makes no jumps
@@ -31,9 +32,7 @@ class YawRateLimiter:
             Headings, shape (V,) [rad; -pi to pi].
         """
         before_s, before = self._headings
-        shortest = np.remainder(wanted_rad - before + np.pi, 2.0 * np.pi) - np.pi
-        most = YAW_RATE_RAD_S * max(now_s - before_s, 0.0)
-        yaw: Array = np.remainder(before + np.clip(shortest, -most, most) + np.pi, 2.0 * np.pi) - np.pi
+        yaw = turned_towards(before, wanted_rad, YAW_RATE_RAD_S * max(now_s - before_s, 0.0))
         known = np.where(np.isfinite(yaw), yaw, before)  # one that is not a number is none to turn on from
         self._headings = Headings(max(now_s, before_s), known)
         return yaw

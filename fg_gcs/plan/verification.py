@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import yaw_from_enu
 from fg_gcs.core.separation import Separation
@@ -36,6 +38,9 @@ class CheckedPlan:
     def sample(self, time_s: Array) -> Sample:
         """Return the swarm at ``time_s``, shape (T,) [s]; outside the plan it goes on as its end pieces do."""
         index = np.clip(np.searchsorted(self.starts_s, time_s, side="right") - 1, 0, len(self.pieces) - 1)
+        if (index == index[0]).all():  # as for the single instants that are asked for in flight
+            only = int(index[0])
+            return self.pieces[only].sample(time_s - self.starts_s[only])
         parts = [self.pieces[i].sample(time_s[index == i] - self.starts_s[i]) for i in np.unique(index)]
         order = np.argsort(np.concatenate([np.flatnonzero(index == i) for i in np.unique(index)]))
         return Sample(*(np.concatenate(field)[order] for field in zip(*parts, strict=True)))
@@ -53,9 +58,19 @@ def yaw_towards(gaze_enu_m: Array, position_m: Array, heading_enu: Array) -> Arr
         position_m: from where, shape (..., 3) [m; ENU].
         heading_enu: direction to blend over to right above or below the point, shape (2,).
     """
-    bearing = (gaze_enu_m - position_m)[..., :2]
-    near = np.maximum(YAW_BLEND_M - np.linalg.norm(bearing, axis=-1, keepdims=True), 0.0)
-    return yaw_from_enu(bearing + near * heading_enu)
+    yaw_rad = _yaw_towards(gaze_enu_m, np.ascontiguousarray(position_m).reshape(-1, 3), heading_enu)
+    return yaw_rad.reshape(position_m.shape[:-1])
+
+
+@kernel
+def _yaw_towards(gaze: Array, positions: Array, heading: Array) -> Array:
+    """Headings, (P,), from positions, (P, 3)."""
+    yaw = np.empty(len(positions))
+    for i in range(len(positions)):
+        east, north = gaze[0] - positions[i, 0], gaze[1] - positions[i, 1]
+        near = max(YAW_BLEND_M - math.sqrt(east * east + north * north), 0.0)
+        yaw[i] = yaw_from_enu(east + near * heading[0], north + near * heading[1])
+    return yaw
 
 
 def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> CheckedPlan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
-from fg_gcs.track.estimate.estimator import Estimate, Estimator, Settings
+from fg_gcs.track.estimate.estimator import Estimator, Settings
 from fg_gcs.track.estimate.group import Group, GroupEstimate, needed_scale
 from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
 from fg_gcs.track.follow.replanner import RUN_ON_S, WORTH_S, FollowMode, Goal, Replan, Replanner, Swarm
@@ -50,6 +51,7 @@ class FollowingCore:
         settings = tracking.estimator
         self._group = Group(tracking.weights, settings.lost_after_s, tracking.most_radius_m, tracking.confidence)
         self._first_scale = start.scale
+        self._inscribed_m = swarm.formation.inscribed_radius_m
 
     @property
     def trajectory(self) -> FailSafeTrajectory:
@@ -65,7 +67,7 @@ class FollowingCore:
 
     def known(self, now_s: float) -> GroupEstimate | None:
         """Return what is known of the targets now, None before they are seen."""
-        return self._group.at(now_s, self._estimates(now_s))
+        return self._group.at(now_s, {name: each.at(now_s) for name, each in self._estimators.items()})
 
     def replan(self, now_s: float) -> Replan | None:
         """Search for a better trajectory from now on; None while nothing is known.
@@ -73,35 +75,27 @@ class FollowingCore:
         When every target is lost the formation goes on as predicted for a while, then rests. It grows with the
         uncertainty all the time.
         """
-        return next((replan for replan in self.replanning(now_s) if replan is not None), None)
-
-    def replanning(self, now_s: float) -> Iterator[Replan | None]:
-        """Do the same in steps, see :meth:`.Replanner.replanning`; none while nothing is known."""
         known = self.known(now_s)
-        if known is None:
-            return
-        scale = needed_scale(self._swarm.formation.inscribed_radius_m, known.radius_m, self._first_scale)
-        # Of the target seen last: one of several that is gone for good does not end what the others are followed by
-        age_s = min(each.age_s for each in self._estimates(now_s).values() if each is not None)
-        if len(known.lost) == len(self._tracking.weights) and age_s > RUN_ON_S - WORTH_S:
+        return None if known is None else next(replan for replan in self.replanning(known) if replan is not None)
+
+    def replanning(self, known: GroupEstimate) -> Iterator[Replan | None]:
+        """Do the same in steps, see :meth:`.Replanner.replanning`, from the time at which so much is known."""
+        now_s = known.time_s
+        scale = needed_scale(self._inscribed_m, known.radius_m, self._first_scale)
+        if len(known.lost) == len(self._tracking.weights) and known.last_age_s > RUN_ON_S - WORTH_S:
             yield self.replanner.wait(scale, now_s)
             return
-        goal = Goal(known.prediction, scale, age_s)
+        # Of the target seen last: one of several that is gone for good does not end what the others are followed by
+        goal = Goal(known.prediction, scale, known.last_age_s)
         for replan in self.replanner.replanning(goal, now_s):
             followed = replan is not None and replan.mode is FollowMode.FOLLOW
-            if self.caught_s is None and followed and self.error_m(now_s) < self._tracking.capture_m:
+            if self.caught_s is None and followed and self.error_m(known) < self._tracking.capture_m:
                 self.caught_s = now_s
             yield replan
 
-    def _estimates(self, now_s: float) -> dict[str, Estimate | None]:
-        return {name: each.at(now_s) for name, each in self._estimators.items()}
-
-    def error_m(self, now_s: float) -> float:
-        """Return how far the formation's centre is from its place around the target, as far as known [m]."""
-        known = self.known(now_s)
-        if known is None:
-            return np.inf
-        return float(np.linalg.norm(self.place(now_s) - known.position_enu_m))
+    def error_m(self, known: GroupEstimate) -> float:
+        """Return how far the formation's centre is from its place around the targets, as far as known [m]."""
+        return math.dist(self.place(known.time_s), known.position_enu_m)
 
     def place(self, now_s: float) -> Array:
         """Return where the target is if it is held: on the axis, at the hold's depth, shape (3,) [m; ENU]."""

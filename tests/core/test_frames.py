@@ -12,6 +12,7 @@ from fg_gcs.core.frames import (
     geodetic_from_enu,
     rotate_ned_enu,
     swap_ned_enu,
+    turned_towards,
     yaw_from_enu,
 )
 
@@ -52,4 +53,23 @@ def test_a_degree_of_latitude_is_as_long_as_the_tables_say() -> None:
     ("direction", "heading"), [((0, 1, 0), 0.0), ((1, 0, 0), np.pi / 2), ((0, -1, 0), np.pi), ((-1, 0, 5), -np.pi / 2)]
 )
 def test_yaw_counts_clockwise_from_north(direction: tuple[float, float, float], heading: float) -> None:
-    assert yaw_from_enu(np.array(direction, dtype=float)) == pytest.approx(heading)
+    east, north, _ = map(float, direction)
+    assert yaw_from_enu(east, north) == pytest.approx(heading)
+
+
+@given(
+    st.lists(st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)), min_size=1, max_size=9),
+    st.floats(0.0, 4.0),
+)
+def test_headings_turn_the_short_way_and_no_further_than_allowed(pairs: list[tuple[float, float]], most: float) -> None:
+    before, wanted = np.array(pairs).T.copy()
+    turned = turned_towards(before, wanted, most)
+    across = np.angle(np.exp(1j * (wanted - before)))
+    assert np.exp(1j * turned) == pytest.approx(np.exp(1j * (before + np.clip(across, -most, most))), abs=1e-9)
+    assert ((turned >= -np.pi) & (turned <= np.pi)).all()
+
+
+def test_a_wanted_heading_that_is_no_number_leads_to_none() -> None:
+    turned = turned_towards(np.zeros(2), np.array([np.nan, 1.0]), 0.5)
+    assert np.isnan(turned[0])
+    assert turned[1] == pytest.approx(0.5)

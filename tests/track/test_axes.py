@@ -2,6 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ruckig import ControlInterface, InputParameter, Result, Ruckig, Synchronization, Trajectory
 
 from fg_gcs.track.follow.axes import Axes, Bounds
 
@@ -108,3 +111,45 @@ def test_states_do_not_depend_on_the_order_in_which_they_are_asked_for() -> None
     shuffled = np.random.default_rng(0).permutation(len(time_s))
     assert (axes.at(time_s[::-1])[::-1] == axes.at(time_s)).all()
     assert (axes.at(time_s[shuffled]) == axes.at(time_s)[shuffled]).all()
+
+
+@given(
+    st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0), st.floats(-5.0, 5.0)),
+    st.floats(-9.0, 9.0),
+    st.tuples(st.floats(0.5, 4.0), st.floats(0.5, 4.0), st.floats(1.0, 20.0)),
+)
+def test_a_velocity_is_reached_as_fast_as_by_ruckig_and_in_the_same_place(
+    state: tuple[float, float, float], velocity: float, limits: tuple[float, float, float]
+) -> None:
+    braking, gaining, jerk = limits
+    asked, judge = InputParameter(1), Trajectory(1)
+    asked.control_interface, asked.synchronization = ControlInterface.Velocity, Synchronization.No
+    asked.current_position, asked.current_velocity, asked.current_acceleration = ([number] for number in state)
+    asked.target_velocity, asked.min_acceleration, asked.max_acceleration = [velocity], [-braking], [gaining]
+    asked.max_velocity, asked.max_jerk = [99.0], [jerk]
+    assert Ruckig(1).calculate(asked, judge) in (Result.Working, Result.Finished)
+    axes = Axes(10.0, np.array(state)[:, None])
+    assert axes.to_velocity(np.array([velocity]), Bounds(*np.array([[-99.0], [99.0], [-braking], [gaining], [jerk]])))
+    assert axes.end_s == pytest.approx(10.0 + judge.duration, abs=1e-6)
+    for share in np.linspace(0.0, 1.0, 41).tolist():
+        place = np.array(judge.at_time(share * judge.duration))
+        assert axes.at(np.array([10.0 + share * judge.duration]))[0] == pytest.approx(place, abs=1e-5)
+    assert axes.end == pytest.approx(np.array(judge.at_time(judge.duration)), abs=1e-6)
+
+
+def test_an_axis_that_has_its_velocity_already_keeps_it_while_others_brake() -> None:
+    axes = Axes(0.0, np.zeros((3, 2)))
+    axes.smoothly(np.array([[3.0, 1.0], [2.0, 0.0], [0.5, 0.0]]), 2.0)
+    assert axes.to_velocity(np.zeros(2), bounds(2))
+    states = axes.at(np.linspace(2.0, axes.end_s + 1.0, 99))
+    assert axes.end_s > 2.5
+    assert states[:, :, 1] == pytest.approx(np.tile([1.0, 0.0, 0.0], (99, 1)), abs=1e-9)
+
+
+def test_a_long_chain_keeps_what_it_began_with() -> None:
+    axes = Axes(0.0, np.zeros((3, 2)))
+    time_s, shown = np.linspace(0.0, 1.0, 20), []
+    for number in range(80):
+        axes.smoothly(np.full((3, 2), 0.1 * number), 1.0)
+        shown.append(axes.at(time_s))
+    assert all((states == shown[0]).all() for states in shown)

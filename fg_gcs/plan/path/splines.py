@@ -194,10 +194,7 @@ def _turns(rotations: Array) -> tuple[Array, Array]:
         if i > 0:
             real = a * w + b * x + c * y + d * z
             e, f, g = a * x - b * w - c * z + d * y, a * y + b * z - c * w - d * x, a * z - b * y + c * x - d * w
-            length = math.sqrt(e * e + f * f + g * g)
-            sign = 1.0 if real >= 0.0 else -1.0  # the short way round
-            stretch = sign * 2.0 * math.atan2(length, abs(real)) / length if length > 0.0 else 0.0
-            turns[i - 1, 0], turns[i - 1, 1], turns[i - 1, 2] = stretch * e, stretch * f, stretch * g
+            turns[i - 1, 0], turns[i - 1, 1], turns[i - 1, 2] = _turn((real, e, f, g))
         a, b, c, d = w, x, y, z
     return attitudes, turns
 
@@ -216,6 +213,22 @@ def _quaternion(r: Array) -> tuple[float, float, float, float]:
         w, x, y, z = r[1, 0] - r[0, 1], r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], 1.0 - trace + 2.0 * r[2, 2]
     length = math.sqrt(w * w + x * x + y * y + z * z)
     return w / length, x / length, y / length, z / length
+
+
+@kernel
+def rotation_vector(rotation: Array) -> Vector:
+    """Return the rotation vector of a rotation, shape (3, 3), the short way round [rad]."""
+    return _turn(_quaternion(rotation))
+
+
+@kernel
+def _turn(quaternion: tuple[float, float, float, float]) -> Vector:
+    """The rotation vector of a unit quaternion, real part first, the short way round."""
+    w, x, y, z = quaternion
+    length = math.sqrt(x * x + y * y + z * z)
+    sign = 1.0 if w >= 0.0 else -1.0
+    stretch = sign * 2.0 * math.atan2(length, abs(w)) / length if length > 0.0 else 0.0
+    return stretch * x, stretch * y, stretch * z
 
 
 @kernel

@@ -114,6 +114,8 @@ class Estimate(NamedTuple):
         Accelerations fade or turn, so that the speed stays bounded; the covariance goes on growing.
         """
         step_s = max(time_s - self.time_s, 0.0)
+        if step_s == 0.0:
+            return self
         return Estimate.of(
             self.time_s + step_s, _later(self.belief, self.dynamics, step_s), self.age_s + step_s, self.dynamics
         )

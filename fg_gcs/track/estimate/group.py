@@ -27,6 +27,7 @@ class GroupEstimate(NamedTuple):
     prediction: Prediction  # of the centre
     radius_m: float  # of the ball around the centre that holds the targets; 0 for one target that is seen [m]
     age_s: float  # of the oldest of the newest sightings
+    last_age_s: float  # of the newest one
     lost: tuple[str, ...]  # targets not seen for too long, predicted only
     unseen: tuple[str, ...]  # targets never seen so far: they count for nothing here
     bounded: bool  # the ball would have to be larger than it may be: it need not hold the targets any more
@@ -97,6 +98,7 @@ class Group:
             Prediction.centre(shares.tolist(), [each.prediction for each in seen.values()]),
             min(radius_m, self._most_radius_m),
             max(each.age_s for each in seen.values()),
+            min(each.age_s for each in seen.values()),
             lost,
             tuple(name for name in self._weights if name not in seen),
             radius_m > self._most_radius_m,

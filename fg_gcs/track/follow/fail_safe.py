@@ -9,13 +9,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.rules import Peaks, broken
 from fg_gcs.plan.trajectory import Survey, extrema
-from fg_gcs.track.follow.axes import Axes
+from fg_gcs.track.follow.axes import Axes, axis_at
 from fg_gcs.track.follow.formation_frames import AXES, Frames, State, frames_of, state_of
 
 VERIFIED_EVERY_S = 0.04  # between instants of the verification, besides the axes' seams: speeds change by some cm/s
@@ -34,7 +36,7 @@ class FailSafeTrajectory:
             turning: rotation vector and scale, four axes; likewise.
             axes: along which the centre moves, one a column, shape (3, 3) [ENU].
         """
-        self._attitude, self._axes = attitude, axes
+        self.attitude, self._axes = attitude, axes
         self.start_s = moving.start_s
         self.end_s = max(moving.end_s, turning.end_s)
         self._moving, self._turning = moving, turning
@@ -48,10 +50,13 @@ class FailSafeTrajectory:
         centre[0] = pose.centre_enu_m
         return cls(np.asarray(pose.rotation), Axes(start_s, centre), Axes(start_s, turn), np.eye(3))
 
+    def axes_at(self, time_s: Array) -> Array:
+        """Return centre, turn and scale with two derivatives at times, shape (T,) [s]; (T, 3, 7)."""
+        return _axes_at(*self._moving.phases, *self._turning.phases, self._axes, time_s)
+
     def frames(self, time_s: Array) -> Frames:
         """Return the formation's frame at times, shape (T,) [s]."""
-        axes = np.concatenate((self._moving.at(time_s) @ self._axes.T, self._turning.at(time_s)), axis=2)
-        return frames_of(axes, self._attitude)
+        return frames_of(self.axes_at(time_s), self.attitude)
 
     def state(self, time_s: float) -> State:
         """Return the formation's state at one instant [s]."""
@@ -61,7 +66,9 @@ class FailSafeTrajectory:
     def instants_s(self) -> Array:
         """Instants from start to end that show all of it, ascending [s]."""
         even = np.arange(self.start_s, self.end_s, VERIFIED_EVERY_S)
-        return np.unique(np.concatenate((even, self._moving.seams_s, self._turning.seams_s, [self.end_s])))
+        instants = np.concatenate((even, self._moving.seams_s, self._turning.seams_s, [self.end_s]))
+        instants.sort()
+        return instants
 
 
 class Verification(NamedTuple):
@@ -88,9 +95,38 @@ def verify(trajectory: FailSafeTrajectory, outline_m: Array, rules: Rules) -> Ve
         rules: whose fence counts.
     """
     time_s = trajectory.instants_s
-    frames = trajectory.frames(time_s)
+    axes = trajectory.axes_at(time_s)
     peaks, low, high = np.zeros(len(Peaks._fields)), np.full(3, np.inf), np.full(3, -np.inf)
     steady = np.ones(len(time_s)), np.zeros(len(time_s))  # time is its own parameter
-    extrema(*frames.swarm(outline_m), *steady, time_s, peaks, low, high)
+    extrema(*frames_of(axes, trajectory.attitude).swarm(outline_m), *steady, time_s, peaks, low, high)
     survey = Survey(Peaks(*(RESERVE * peaks).tolist()), low, high)
-    return Verification(survey.peaks, survey.excess_m(rules.fence), float(frames.scale.min()))
+    return Verification(survey.peaks, survey.excess_m(rules.fence), float(axes[:, 0, 6].min()))
+
+
+@kernel
+def _axes_at(
+    moving: Array,
+    moving_counts: NDArray[np.int_],
+    turning: Array,
+    turning_counts: NDArray[np.int_],
+    columns: Array,
+    times: Array,
+) -> Array:
+    """Axes of a formation at times, (T, 3, 7), from the phases of its centre along columns, and of its turn and scale.
+
+    Of axes that move along ENU the columns are those of the identity.
+    """
+    axes = np.zeros((len(times), 3, AXES))
+    for d in range(AXES):
+        phase = 0
+        for i in range(len(times)):
+            if d < 3:
+                phase, motion = axis_at(moving, moving_counts, d, phase, times[i])
+                for order in range(3):
+                    for k in range(3):
+                        axes[i, order, k] += motion[order] * columns[k, d]
+            else:
+                phase, motion = axis_at(turning, turning_counts, d - 3, phase, times[i])
+                for order in range(3):
+                    axes[i, order, d] = motion[order]
+    return axes

@@ -13,7 +13,7 @@ import numpy as np
 
 from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
-from fg_gcs.plan.path.splines import cross, turning
+from fg_gcs.plan.path.splines import cross, mix, turning
 
 AXES = 7  # what a frame can do: move (3), turn (3, as a rotation vector from a given attitude), change its scale
 
@@ -44,33 +44,12 @@ class State(NamedTuple):
 
 def state_of(frames: Frames) -> State:
     """Return the state at the first instant; its turn is zero, so the derivatives of the turn are those of rates."""
-    arms, first, second = frames.arms[0]
-    scale = float(np.cbrt(np.linalg.det(arms)))
-    inverse = arms.T / scale**2
-    once, twice = first @ inverse, second @ inverse
-    rate = _axis(once)
-    share = float(np.trace(once)) / 3.0
-    axes = np.zeros((3, AXES))
-    axes[:, :3] = frames.centre[0]
-    axes[1, 3:6] = rate
-    axes[2, 3:6] = _axis(twice) - 2.0 * share * rate
-    axes[0, 6] = scale
-    axes[1, 6] = share * scale
-    axes[2, 6] = scale * (float(np.trace(twice)) + 2.0 * float(rate @ rate)) / 3.0
-    return State(arms / scale, axes)
+    return State(*_state(frames.centre[0], frames.arms[0]))
 
 
 def frames_of(axes: Array, attitude: Array) -> Frames:
     """Return the frames of axes over time, shape (T, 3, 7), that turn from an attitude, shape (3, 3)."""
-    arms = np.empty((len(axes), 3, 3, 3))
-    _turned(axes, arms)
-    return Frames(np.ascontiguousarray(axes[:, :, :3]), arms @ attitude)
-
-
-def _axis(matrix: Array) -> Array:
-    """The vector of a matrix's antisymmetric part."""
-    part = 0.5 * (matrix - matrix.T)
-    return np.array([part[2, 1], part[0, 2], part[1, 0]])
+    return Frames(*_frames(axes, attitude))
 
 
 @kernel
@@ -89,45 +68,69 @@ def _swarm(centre: Array, arms: Array, slots: Array) -> tuple[Array, Array, Arra
 
 
 @kernel
-def _turned(axes: Array, arms: Array) -> None:
-    """Fill ``arms``, (T, 3, 3, 3), with scale times rotation and its derivatives; ``w`` is the turning rate."""
-    r1, r2 = np.empty((3, 3)), np.empty((3, 3))
-    for i in range(len(axes)):
+def _frames(axes: Array, attitude: Array) -> tuple[Array, Array]:
+    """Centres, (T, 3, 3), and arms, (T, 3, 3, 3), of axes over time, (T, 3, 7).
+
+    ``f`` is the rotation vector, ``w`` the turning rate and ``g`` its derivative, ``k`` the scale, ``r`` an axis of the
+    template turned to ENU: ``r' = w x r`` and ``r'' = g x r + w x (w x r)``.
+    """
+    count = len(axes)
+    centre, arms = np.empty((count, 3, 3)), np.empty((count, 3, 3, 3))
+    for i in range(count):
         f = (axes[i, 0, 3], axes[i, 0, 4], axes[i, 0, 5])
         f1 = (axes[i, 1, 3], axes[i, 1, 4], axes[i, 1, 5])
         f2 = (axes[i, 2, 3], axes[i, 2, 4], axes[i, 2, 5])
+        s, b, d, b1, d1 = turning(f[0] * f[0] + f[1] * f[1] + f[2] * f[2])
+        square1 = 2.0 * (f[0] * f1[0] + f[1] * f1[1] + f[2] * f1[2])
+        once, grown = cross(f, f1), cross(f, f2)
+        twice, bent, grown_twice = cross(f, once), cross(f1, once), cross(f, grown)
+        w = mix(1.0, f1, 1.0, mix(b, once, d, twice))
+        first = mix(1.0, f2, 1.0, mix(b1 * square1, once, b, grown))
+        g = mix(1.0, first, 1.0, mix(d1 * square1, twice, d, mix(1.0, bent, 1.0, grown_twice)))
         k0, k1, k2 = axes[i, 0, 6], axes[i, 1, 6], axes[i, 2, 6]
-        x, y, z = f
-        s, b, d, b1, d1 = turning(x * x + y * y + z * z)
-        square1 = 2.0 * (x * f1[0] + y * f1[1] + z * f1[2])
-        once = cross(f, f1)
-        twice = cross(f, once)
-        grown = cross(f, f2)
-        bent, grown_twice = cross(f1, once), cross(f, grown)
-        w = np.empty(3)
-        g = np.empty(3)
-        for k in range(3):
-            w[k] = f1[k] + b * once[k] + d * twice[k]
-            g[k] = (
-                f2[k] + b1 * square1 * once[k] + b * grown[k] + d1 * square1 * twice[k] + d * (bent[k] + grown_twice[k])
-            )
-        turn = np.array(
-            [
-                [1.0 - b * (y * y + z * z), b * x * y - s * z, b * x * z + s * y],
-                [b * x * y + s * z, 1.0 - b * (x * x + z * z), b * y * z - s * x],
-                [b * x * z - s * y, b * y * z + s * x, 1.0 - b * (x * x + y * y)],
-            ]
-        )
         for axis in range(3):
-            r = (turn[0, axis], turn[1, axis], turn[2, axis])
-            once_r = cross((w[0], w[1], w[2]), r)
-            again = cross((w[0], w[1], w[2]), once_r)
-            turned = cross((g[0], g[1], g[2]), r)
+            a = (attitude[0, axis], attitude[1, axis], attitude[2, axis])
+            side = cross(f, a)
+            r = mix(1.0, a, 1.0, mix(s, side, b, cross(f, side)))
+            r1 = cross(w, r)
+            r2 = mix(1.0, cross(g, r), 1.0, cross(w, r1))
             for k in range(3):
-                r1[k, axis] = once_r[k]
-                r2[k, axis] = turned[k] + again[k]
-        for k in range(3):
+                arms[i, 0, k, axis] = k0 * r[k]
+                arms[i, 1, k, axis] = k1 * r[k] + k0 * r1[k]
+                arms[i, 2, k, axis] = k2 * r[k] + 2.0 * k1 * r1[k] + k0 * r2[k]
+                centre[i, axis, k] = axes[i, axis, k]
+    return centre, arms
+
+
+@kernel
+def _state(centre: Array, arms: Array) -> tuple[Array, Array]:
+    """Attitude, (3, 3), and axes, (3, 7), of a frame.
+
+    The arms are ``k R``, so that ``(k R)' (k R)^-1 = k'/k + [w]`` and ``(k R)'' (k R)^-1 = k''/k + 2 k'/k [w] + [w'] +
+    [w]^2`` with the turning rate ``w``: its parts are told apart by symmetry.
+    """
+    axes, attitude = np.zeros((3, AXES)), np.empty((3, 3))
+    rows = arms[0]
+    scale = np.cbrt(
+        rows[0, 0] * (rows[1, 1] * rows[2, 2] - rows[1, 2] * rows[2, 1])
+        + rows[0, 1] * (rows[1, 2] * rows[2, 0] - rows[1, 0] * rows[2, 2])
+        + rows[0, 2] * (rows[1, 0] * rows[2, 1] - rows[1, 1] * rows[2, 0])
+    )
+    traces = np.zeros(2)
+    for order in range(2):
+        for k in range(3):  # of the product with the inverse: its antisymmetric part, and its trace
+            j, m = (k + 1) % 3, (k + 2) % 3
             for axis in range(3):
-                arms[i, 0, k, axis] = k0 * turn[k, axis]
-                arms[i, 1, k, axis] = k1 * turn[k, axis] + k0 * r1[k, axis]
-                arms[i, 2, k, axis] = k2 * turn[k, axis] + 2.0 * k1 * r1[k, axis] + k0 * r2[k, axis]
+                one, other = arms[1 + order, m, axis] * rows[j, axis], arms[1 + order, j, axis] * rows[m, axis]
+                axes[1 + order, 3 + k] += 0.5 * (one - other) / scale**2
+                traces[order] += arms[1 + order, k, axis] * rows[k, axis] / scale**2
+    share, square = traces[0] / 3.0, 0.0
+    for k in range(3):
+        rate = axes[1, 3 + k]
+        axes[2, 3 + k] -= 2.0 * share * rate
+        square += rate * rate
+        for order in range(3):
+            axes[order, k] = centre[order, k]
+            attitude[k, order] = rows[k, order] / scale
+    axes[0, 6], axes[1, 6], axes[2, 6] = scale, share * scale, scale * (traces[1] + 2.0 * square) / 3.0
+    return attitude, axes

@@ -9,6 +9,7 @@ verified. docs/derivations.md has the equations.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
@@ -16,14 +17,15 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from fg_gcs.compiling import kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.path.rigid_path import outline_of
+from fg_gcs.plan.path.splines import rotation_vector
 from fg_gcs.track.estimate.imm import Prediction
 from fg_gcs.track.follow.axes import Axes, Bounds
 from fg_gcs.track.follow.fail_safe import FailSafeTrajectory, verify
@@ -76,6 +78,7 @@ GAP_M_S = 2.0  # nearer, a change of velocity above this has one
 ALONG = ((1.0, 0.5, 0.5), (0.9, 0.5, 0.5))  # shares of three axes in speed and in acceleration, where one leads
 ACROSS = ((1.0, 1.0, 1.0), (0.65, 0.65, 0.65))  # and where none does: all three may brake at once
 GENTLY_M_S2, SPARE = 0.8, 1.3  # for braking on a long way, and how much more than needed
+ENU = np.eye(3)  # axes for a move without a direction, one a column
 JERKED = 0.95  # share of the jerk limit that a move's three axes and a turn may take together
 
 
@@ -97,6 +100,16 @@ class Goal(NamedTuple):
         if speed <= speed_m_s:
             return self
         return self._replace(prediction=Prediction.straight(self.prediction.time_s, now[0], speed_m_s / speed * now[1]))
+
+
+class Join(NamedTuple):
+    """What all ways to join a target smoothly have in common."""
+
+    state: State  # that they start from
+    goal: Goal
+    hold_m: Array  # from the target to where the centre belongs, shape (3,) [m; ENU]
+    turning: Axes  # attitude and scale, whatever the centre does
+    bounds: Bounds  # of the centre when it brakes
 
 
 class FollowMode(Enum):
@@ -141,6 +154,7 @@ class Replanner:
         self._swarm = swarm
         self._jerk_m_s3 = min(swarm.rules.limits.jerk_m_s3, JERK_M_S3)
         self._outline_m = outline_of(swarm.slots_m)
+        self._box_m = np.array((swarm.rules.fence.low_enu_m, swarm.rules.fence.high_enu_m))
         self._reach_m = float(np.linalg.norm(swarm.slots_m, axis=1).max())
         self._smallest_m = swarm.formation.smallest_separation_m
 
@@ -168,16 +182,10 @@ class Replanner:
             trajectory = self._stopped(state, attitude, goal.scale, now_s)
             yield self._taken(trajectory, FollowMode.TURN)
             return
-        run_on_s = max(RUN_ON_S - goal.age_s, 0.0)
-        for takes_s in SMOOTH_S:
-            yield None
-            trajectory = self._joined(state, attitude, goal, now_s, takes_s, min(SHORTLY_S, run_on_s))
-            if trajectory is not None and self._holds(trajectory):
-                yield None
-                longer = self._joined(state, attitude, goal, now_s, takes_s, run_on_s)
-                yield self._taken(
-                    longer if longer is not None and self._holds(longer) else trajectory, FollowMode.FOLLOW
-                )
+        join = self._join(state, attitude, goal, now_s)
+        for replan in self._joining(join) if join is not None else ():
+            yield replan
+            if replan is not None:
                 return
         for limit_shares in dict.fromkeys((*(self._swinging(state, each) for each in EFFORTS), *EFFORTS)):
             yield None
@@ -186,6 +194,21 @@ class Replanner:
                 yield self._taken(trajectory, FollowMode.APPROACH)
                 return
         yield self._taken(None, self.mode)
+
+    def _joining(self, join: Join) -> Iterator[Replan | None]:
+        """Search for a smooth way to join the target, in steps as above; none in the end if there is no such way."""
+        run_on_s = max(RUN_ON_S - join.goal.age_s, 0.0)
+        for takes_s in SMOOTH_S:
+            trajectory = self._joined(join, takes_s, min(SHORTLY_S, run_on_s))
+            if trajectory is None:  # which is known at once
+                continue
+            yield None
+            if self._holds(trajectory):
+                yield None
+                longer = self._joined(join, takes_s, run_on_s)
+                best = longer if longer is not None and self._holds(longer) else trajectory
+                yield self._taken(best, FollowMode.FOLLOW)
+                return
 
     def wait(self, scale: float, now_s: float) -> Replan:
         """Come to rest where the present trajectory does, and change the formation's size there."""
@@ -236,27 +259,30 @@ class Replanner:
         soonest = sorted(trajectories, key=lambda trajectory: trajectory.end_s)
         return next((trajectory for trajectory in soonest if self._holds(trajectory)), None)
 
-    def _joined(
-        self, state: State, attitude: Array, goal: Goal, now_s: float, takes_s: float, run_on_s: float
-    ) -> FailSafeTrajectory | None:
-        """Return a trajectory that joins the target smoothly in a given time, stays with it for a while and brakes."""
-        hold_m = self._swarm.hold_depth_m * attitude[:, 0]
-        met = self._within(goal.at(now_s + takes_s), hold_m, goal.scale)
-        if np.linalg.norm(met[0] - state.axes[0, :3]) > takes_s * self._swarm.rules.limits.speed_m_s:
-            return None  # too far for anybody
-        axes, limit_shares = np.eye(3), self._swinging(state, JOINED)
-        bounds = self._bounds(axes, limit_shares, ACROSS)
-        moving = Axes(now_s, state.axes[:, :3])
+    def _join(self, state: State, attitude: Array, goal: Goal, now_s: float) -> Join | None:
+        """Return what all ways to join a target smoothly have in common; None if there is no turn for them."""
+        limit_shares = self._swinging(state, JOINED)
         turning = self._turning(state, attitude, goal.scale, now_s, limit_shares.turn, TURN_S)
+        if turning is None:
+            return None
+        hold_m = self._swarm.hold_depth_m * attitude[:, 0]
+        return Join(state, goal, hold_m, turning, self._bounds(ENU, limit_shares, ACROSS))
+
+    def _joined(self, join: Join, takes_s: float, run_on_s: float) -> FailSafeTrajectory | None:
+        """Return a trajectory that joins the target smoothly in a given time, stays with it for a while and brakes."""
+        state, goal, hold_m, turning, bounds = join
+        now_s = turning.start_s
+        met = self._within(goal.at(now_s + takes_s), hold_m, goal.scale)
+        if math.dist(met[0], state.axes[0, :3]) > takes_s * self._swarm.rules.limits.speed_m_s:
+            return None  # too far for anybody
+        moving = Axes(now_s, state.axes[:, :3])
         if moving.smoothly(met, takes_s) > self._swarm.rules.limits.jerk_m_s3:
             return None
         while moving.end_s < now_s + run_on_s:  # along the prediction, piece by piece
             moving.smoothly(self._within(goal.at(moving.end_s + PIECE_S), hold_m, goal.scale), PIECE_S)
-        if turning is None or not moving.to_velocity(moving.end[1], bounds):
+        if not (moving.to_velocity(moving.end[1], bounds) and moving.to_velocity(np.zeros(3), bounds)):
             return None
-        if not moving.to_velocity(np.zeros(3), bounds):
-            return None
-        return FailSafeTrajectory(state.attitude, moving, turning, axes)
+        return FailSafeTrajectory(state.attitude, moving, turning, ENU)
 
     def _met(
         self, state: State, attitude: Array, goal: Goal, now_s: float, limit_shares: LimitShares
@@ -308,7 +334,7 @@ class Replanner:
             return axes, ALONG, min(max(GENTLY_M_S2, SPARE * needed) / hardest, 1.0)
         if gap_m_s > GAP_M_S:
             return _axes(change), ALONG, 1.0
-        return np.eye(3), ACROSS, 1.0
+        return ENU, ACROSS, 1.0
 
     def _arm_m(self, state: State, scale: float) -> float:
         """Return how far from the centre a vehicle is at most on the way to a scale [m]."""
@@ -338,7 +364,7 @@ class Replanner:
         speed[:3] = np.minimum(speed[:3], fastest_rad_s)
         turning = Axes(now_s, state.axes[:, 3:])
         goal = np.zeros((3, 4))
-        goal[0, :3] = Rotation.from_matrix(attitude @ state.attitude.T).as_rotvec()
+        goal[0, :3] = rotation_vector(attitude @ state.attitude.T)
         goal[0, 3] = scale
         push = limits.acceleration_m_s2 * per_joint
         bounds = Bounds(-speed, speed, -push, push, jerk)
@@ -365,17 +391,9 @@ class Replanner:
 
     def _within(self, states: Array, hold_m: Array, scale: float) -> Array:
         """Return the centre's states for a target's, (3, 3): inside the fence, no faster up and down than it may."""
-        fence, reach_m = self._swarm.rules.fence, self._reach_m * scale
-        low, high = np.array(fence.low_enu_m) + reach_m, np.array(fence.high_enu_m) - reach_m
-        centre = states.copy()
-        centre[0] += hold_m
-        limits, rise = self._swarm.rules.limits, centre[1, 2]
-        centre[1, 2] = np.clip(rise, -FASTEST * limits.descent_m_s, FASTEST * limits.climb_m_s)
-        centre[2, 2] *= float(centre[1, 2] == rise)
-        outside = (centre[0] < low) | (centre[0] > high)
-        centre[0] = np.clip(centre[0], np.minimum(low, high), np.maximum(low, high))
-        centre[1:, outside] = 0.0
-        return centre
+        limits = self._swarm.rules.limits
+        rates = -FASTEST * limits.descent_m_s, FASTEST * limits.climb_m_s
+        return _inside(states, hold_m, self._box_m, self._reach_m * scale, *rates)
 
     def _holds(self, trajectory: FailSafeTrajectory) -> bool:
         return verify(trajectory, self._outline_m, self._swarm.rules).keeps(self._swarm.rules, self._smallest_m)
@@ -389,3 +407,29 @@ def _axes(way: Array) -> Array:
     second = np.cross(helper, first)
     second /= np.linalg.norm(second)
     return np.stack((first, second, np.cross(first, second)), axis=1)
+
+
+@kernel
+def _inside(states: Array, hold: Array, box: Array, reach: float, slowest: float, fastest: float) -> Array:
+    """The centre's states for a target's, each (3, 3).
+
+    Args:
+        states: of the target.
+        hold: from it to the centre, (3,) [m].
+        box: corners of the fence, (2, 3) [m]; the centre stays by the reach inside, [m].
+        reach: of the vehicles around the centre.
+        slowest: lowest vertical velocity [m/s].
+        fastest: highest one [m/s].
+    """
+    centre = states.copy()
+    rise = centre[1, 2]
+    centre[1, 2] = min(max(rise, slowest), fastest)
+    if centre[1, 2] != rise:
+        centre[2, 2] = 0.0
+    for k in range(3):
+        low, high = box[0, k] + reach, box[1, k] - reach
+        place = centre[0, k] + hold[k]
+        centre[0, k] = min(max(place, min(low, high)), max(low, high))
+        if place < low or place > high:
+            centre[1, k], centre[2, k] = 0.0, 0.0
+    return centre
