@@ -27,7 +27,8 @@ TEXT = (
     "vehicles came closer than the mission allows, some by positions of different ages; their errors are those up to "
     "the landing. Here nothing is stopped and nobody is hurt by another (a minimum separation of a centimetre, "
     "`collisions = false`), so that what is compared is how vehicles follow; the table has the median of "
-    f"{len(SEEDS)} seeds. The last columns are of the mission as it is shipped: how many seeds are stopped, and the errors up to there."
+    f"{len(SEEDS)} seeds. The last columns are of the mission as it is shipped: how many seeds are stopped, and the "
+    "errors up to the landing."
 )
 COLUMNS = (
     Column("autopilot"),
