@@ -236,6 +236,33 @@ def test_long_stall_slips_instead_of_racing() -> None:
     loop.close()
 
 
+def test_ticks_are_as_late_as_the_loop_and_left_out_ones_are_counted() -> None:
+    loop = VirtualLoop()
+    sim = Simulator(options("px4", vehicles=1, port_base=18570))
+    loop.run_until_complete(sim.start())
+    loop.run_until_s(1.0)
+    assert sim.lateness.left_out == 0
+    assert sim.lateness.worst_s == pytest.approx(0.0, abs=1e-3)
+    loop.now_s += 0.055
+    loop.run_until_s(loop.now_s + 0.1)
+    assert sim.lateness.left_out == 5
+    assert sim.lateness.worst_s == pytest.approx(0.05, abs=0.01)
+    assert sim.lateness.ticks == pytest.approx(115, abs=2)
+    loop.run_until_complete(sim.close())
+    loop.close()
+
+
+def test_any_port_is_none_of_those_that_others_are_heard_at() -> None:
+    loop = VirtualLoop()
+    remotes = (("127.0.0.1", 50001), ("127.0.0.1", 50002))
+    sim = Simulator(options("px4", remotes=remotes))
+    loop.run_until_complete(sim.start())
+    assert len(loop.protocols) == 4
+    assert not set(remotes) & set(loop.protocols)
+    loop.run_until_complete(sim.close())
+    loop.close()
+
+
 def on_real_sockets(run: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(cast(Any, run()))
 
