@@ -20,11 +20,11 @@ def phase_s(row: int) -> float:
 
 
 @dataclass(slots=True)
-class Stream:
-    """A message sent at absolute deadlines."""
+class Interval:
+    """Messages that are sent equally often, at absolute deadlines."""
 
-    period_s: float
     due_s: float
+    names: list[str]
 
 
 class Link:
@@ -32,7 +32,7 @@ class Link:
 
     Args:
         streams_hz: messages sent unasked, and how often.
-        start_s: before this nothing is sent; all streams go by it, so that those of one interval are due at once.
+        start_s: before this nothing is sent; all deadlines go by it, so that messages of one interval are due at once.
 
     Attributes:
         next_s: before this no stream is due.
@@ -44,7 +44,10 @@ class Link:
     def __init__(self, streams_hz: Mapping[str, float], start_s: float) -> None:
         self._default_hz = streams_hz
         self._start_s = start_s
-        self._streams = {name: Stream(1.0 / hz, start_s) for name, hz in streams_hz.items()}
+        self._periods_s = {name: 1.0 / hz for name, hz in streams_hz.items()}
+        self._intervals: dict[float, Interval] = {}  # by period
+        for name, period_s in self._periods_s.items():
+            self._intervals.setdefault(period_s, Interval(start_s, [])).names.append(name)
         self.next_s = start_s
         self.texts_open = False
         self.parameter_index: int | None = None
@@ -52,13 +55,19 @@ class Link:
 
     def set_interval(self, name: str, period_s: float | None, now_s: float) -> None:
         """Send a message every `period_s` from now on, first within that time; None stops it."""
+        before_s = self._periods_s.pop(name, None)
+        if before_s is not None:
+            self._intervals[before_s].names.remove(name)
+            if not self._intervals[before_s].names:
+                del self._intervals[before_s]
         if period_s is None:
-            self._streams.pop(name, None)
             return
-        passed = math.floor((now_s + DUE_SLACK_S - self._start_s) / period_s)
-        due_s = self._start_s + max(0, passed + 1) * period_s
-        self._streams[name] = Stream(period_s, due_s)
-        self.next_s = min(self.next_s, due_s)
+        self._periods_s[name] = period_s
+        if period_s not in self._intervals:
+            passed = math.floor((now_s + DUE_SLACK_S - self._start_s) / period_s)
+            self._intervals[period_s] = Interval(self._start_s + max(0, passed + 1) * period_s, [])
+        self._intervals[period_s].names.append(name)
+        self.next_s = min(self.next_s, self._intervals[period_s].due_s)
 
     def default_period_s(self, name: str) -> float | None:
         """The interval that a message has when it was not asked for; None: not sent."""
@@ -67,18 +76,17 @@ class Link:
 
     def period_s(self, name: str) -> float | None:
         """The present interval of a message; None: not sent."""
-        stream = self._streams.get(name)
-        return None if stream is None else stream.period_s
+        return self._periods_s.get(name)
 
     def due(self, now_s: float) -> list[str]:
         """Messages due now. A stream that is late sends once and goes on at its own deadlines."""
         if now_s < self.next_s - DUE_SLACK_S:
             return []
-        names = []
-        for name, stream in self._streams.items():
-            if stream.due_s <= now_s + DUE_SLACK_S:
-                names.append(name)
-                missed = math.floor((now_s + DUE_SLACK_S - stream.due_s) / stream.period_s)
-                stream.due_s += (missed + 1) * stream.period_s
-        self.next_s = min((stream.due_s for stream in self._streams.values()), default=math.inf)
+        names: list[str] = []
+        for period_s, interval in self._intervals.items():
+            if interval.due_s <= now_s + DUE_SLACK_S:
+                names += interval.names
+                missed = math.floor((now_s + DUE_SLACK_S - interval.due_s) / period_s)
+                interval.due_s += (missed + 1) * period_s
+        self.next_s = min((interval.due_s for interval in self._intervals.values()), default=math.inf)
         return names

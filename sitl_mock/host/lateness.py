@@ -13,7 +13,7 @@ class Lateness:
 
     Attributes:
         ticks: how many there should have been.
-        left_out: how many of them never came, because one before took too long.
+        left_out: how many of them never came, because the one before took too long.
         worst_s: the latest one [s].
     """
 
@@ -24,20 +24,18 @@ class Lateness:
         self._bins: Counter[int] = Counter()
 
     def add(self, late_s: float, left_out: int, tick_s: float) -> None:
-        """Count a tick, and those before it that were left out: each of them is late by a whole tick.
+        """Count a tick, and those behind it that are left out: what they had to do waits for the one after them.
 
         Args:
             late_s: how late the tick begins [s].
-            left_out: how many there should have been since the one before.
+            left_out: how many ticks are past when it has ended; the last of them is late by a whole tick, and so on.
             tick_s: time from tick to tick [s].
         """
-        self._bins[math.ceil(late_s / BIN_S)] += 1
-        self.worst_s = max(self.worst_s, late_s)
         self.ticks += 1 + left_out
-        if left_out > 0:
-            self.left_out += left_out
-            self._bins[math.ceil(tick_s / BIN_S)] += left_out
-            self.worst_s = max(self.worst_s, tick_s)
+        self.left_out += left_out
+        for each_s in (late_s, *(k * tick_s for k in range(1, left_out + 1))):
+            self._bins[math.ceil(each_s / BIN_S)] += 1
+            self.worst_s = max(self.worst_s, each_s)
 
     def percentile_s(self, percent: float) -> float:
         """The lateness that so many ticks of a hundred do not exceed [s]; 0 before the first tick."""

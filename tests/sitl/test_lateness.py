@@ -30,13 +30,14 @@ def test_percentiles_are_numpys_to_a_bin(late_s: list[float], percent: float) ->
     assert (lateness.ticks, lateness.left_out) == (len(late_s), 0)
 
 
-def test_a_tick_that_is_left_out_is_late_by_a_whole_tick() -> None:
+def test_a_tick_that_is_left_out_is_late_by_a_whole_tick_and_one_before_it_by_two() -> None:
     lateness = Lateness()
     lateness.add(0.0, 0, TICK_S)
-    lateness.add(0.001, 3, TICK_S)
-    assert (lateness.ticks, lateness.left_out, lateness.worst_s) == (5, 3, TICK_S)
-    assert lateness.percentile_s(40.0) == pytest.approx(0.001, abs=BIN_S)
-    assert lateness.percentile_s(99.0) == pytest.approx(TICK_S, abs=BIN_S)
+    lateness.add(0.001, 2, TICK_S)
+    assert (lateness.ticks, lateness.left_out, lateness.worst_s) == (4, 2, 2.0 * TICK_S)
+    assert lateness.percentile_s(50.0) == pytest.approx(0.001, abs=BIN_S)
+    assert lateness.percentile_s(75.0) == pytest.approx(TICK_S, abs=BIN_S)
+    assert lateness.percentile_s(99.0) == pytest.approx(2.0 * TICK_S, abs=BIN_S)
 
 
 def test_before_the_first_tick_there_is_none() -> None:
@@ -53,6 +54,10 @@ def test_asked_for_streams_keep_to_the_links_own_phase(start_ms: int, asked_ms: 
     turns = (link.next_s - start_s) / period_s
     assert turns == pytest.approx(round(turns), abs=1e-5)
     assert link.due(link.next_s) == ["ATTITUDE"]
+    assert link.next_s == pytest.approx(start_s + (round(turns) + 1) * period_s)
+    link.set_interval("ATTITUDE", None, asked_s)
+    assert link.period_s("ATTITUDE") is None
+    assert link.due(asked_s + 1e6) == []
 
 
 def test_small_fleets_speak_at_once_and_large_ones_in_turn() -> None:
