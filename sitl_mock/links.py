@@ -32,7 +32,7 @@ class Link:
 
     Args:
         streams_hz: messages sent unasked, and how often.
-        start_s: before this nothing is sent; all deadlines go by it, so that messages of one interval are due at once.
+        start_s: before this nothing is sent; all deadlines go by it; messages of one interval are due at once.
 
     Attributes:
         next_s: before this no stream is due.
@@ -47,7 +47,9 @@ class Link:
         self._periods_s = {name: 1.0 / hz for name, hz in streams_hz.items()}
         self._intervals: dict[float, Interval] = {}  # by period
         for name, period_s in self._periods_s.items():
-            self._intervals.setdefault(period_s, Interval(start_s, [])).names.append(name)
+            # What is seldom said, and takes longest to make, is not said with what is often said.
+            due_s = start_s + len(self._intervals) * PHASE_STEP_S
+            self._intervals.setdefault(period_s, Interval(due_s, [])).names.append(name)
         self.next_s = start_s
         self.texts_open = False
         self.parameter_index: int | None = None
