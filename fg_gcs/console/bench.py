@@ -225,6 +225,8 @@ def _show_flights(made: SimBench) -> None:
     )
     text = "Station and simulator as two processes on this machine; planning and evaluation included."
     show(ResultTable("real", "A large swarm in real time", text, columns, (cells,)))
+    if real.reason:
+        tell(f"the large swarm: {real.reason}")
 
 
 def _text(path: Path) -> str:
