@@ -111,6 +111,9 @@ def _add_sockets(parser: argparse.ArgumentParser) -> None:
     )
     add("--with-parent", action="store_true", help="exit when standard input ends; lines there tell stages: stage hold")
     add("--truth", type=Path, metavar="FILE", help="write what vehicles truly hit, and how close they came, as JSON")
+    add(
+        "--timing", type=Path, metavar="FILE", help="write how late the simulator's own ticks were, as JSON, at the end"
+    )
 
 
 def _add_trouble(parser: argparse.ArgumentParser) -> None:
@@ -196,7 +199,7 @@ def run(arguments: argparse.Namespace) -> int:
         return USAGE_ERROR
     from sitl_mock.host.session import simulate  # numpy and pymavlink: not for a mere --help
 
-    return simulate(options, arguments.with_parent)
+    return simulate(options, arguments.with_parent, arguments.timing)
 
 
 def options_of(arguments: argparse.Namespace) -> SimulatorOptions:

@@ -61,9 +61,12 @@ EDGE = (  # where clocks and sockets live
     "fg_gcs/experiment/baselines/ground_stations.py",
     "fg_gcs/experiment/bare_process.py",
     "fg_gcs/experiment/bare_vehicles.py",
+    "fg_gcs/experiment/sim_flights.py",
+    "fg_gcs/experiment/simulator_process.py",
     "fg_gcs/experiment/stream_bench.py",
     "fg_gcs/experiment/streaming.py",
     "fg_gcs/console/",
+    "sitl_mock/host/measure.py",
     "sitl_mock/host/server.py",
     "sitl_mock/host/session.py",
 )

@@ -7,6 +7,7 @@ import asyncio
 import json
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,7 +17,11 @@ from fg_gcs.errors import MissionError
 from fg_gcs.experiment.bench import PlanBench, bench_plan
 from fg_gcs.experiment.memory_bench import memory_bench
 from fg_gcs.experiment.record_bench import record_bench
+from fg_gcs.experiment.required import Figure
+from fg_gcs.experiment.sim_bench import SimBench, sim_bench
+from fg_gcs.experiment.sim_bench import Size as SimSize
 from fg_gcs.experiment.stream_bench import Size, StreamBench, stream_bench
+from fg_gcs.experiment.streaming import MOST_IDS
 from fg_gcs.experiment.tables import Column, ResultTable
 from fg_gcs.experiment.track_bench import COLUMNS, TEXT, fly_once, measure
 from fg_gcs.experiment.track_bench import Size as TrackSize
@@ -30,12 +35,15 @@ def run(chosen: argparse.Namespace) -> ExitCode:
     Raises:
         PlanError: a scene, or a mission, has no plan.
         MissionError: a mission file is missing or wrong.
+        FgError: a flight was not completed.
     """
     match chosen.what:
         case "track":
             figures = _track(chosen)
         case "stream":
             figures = _stream(chosen)
+        case "sim":
+            figures = _sim(chosen)
         case "record":
             figures = _memory(chosen.missions) if chosen.hour else _record()
         case _:
@@ -116,20 +124,126 @@ def _show_streams(made: StreamBench) -> None:
         for each in (*made.streams, made.many)
     )
     show(ResultTable("streams", "Streams, recorded", "Setpoints in real time to bare vehicles.", columns, rows))
-    named = Column("figure"), Column("required"), Column("measured"), Column("met")
-    figures = made.figures()
-    required = tuple(
-        (figure.name, figure.required, figure.measured, "yes" if figure.met else "NO") for figure in figures
+    _show_required(made.figures())
+
+
+def _show_required(figures: Sequence[Figure]) -> None:
+    columns = Column("figure"), Column("required"), Column("measured"), Column("met")
+    rows = tuple((figure.name, figure.required, figure.measured, "yes" if figure.met else "NO") for figure in figures)
+    show(ResultTable("required", "What is required", "", columns, rows))
+
+
+def _sim(chosen: argparse.Namespace) -> dict[str, object]:
+    if max(chosen.vehicles) > MOST_IDS:
+        raise MissionError(f"--vehicles {max(chosen.vehicles)}; accepted: up to {MOST_IDS}")
+    size = SimSize(
+        counts=tuple(sorted(chosen.vehicles)),
+        swarm=chosen.swarm,
+        part_s=min(1.0, chosen.seconds),
+        alone_s=chosen.seconds,
     )
-    show(ResultTable("required", "What is required", "", named, required))
+    made = sim_bench(_text(chosen.missions / "circle.toml"), tell, size)
+    _show_simulators(made)
+    _show_flights(made)
+    figures = made.figures()
+    _show_required(figures)
+    return {
+        "physics": [row._asdict() for row in made.physics],
+        "packing": [row._asdict() | {"ratio": row.ratio} for row in made.packing],
+        "alone": [each._asdict() for each in made.alone],
+        "virtual": made.virtual._asdict() | {"times_real": made.virtual.times_real},
+        "real": None if made.real is None else made.real._asdict(),
+        "required": [figure._asdict() for figure in figures],
+        "met": all(figure.met for figure in figures),
+    }
+
+
+def _show_simulators(made: SimBench) -> None:
+    show(
+        ResultTable(
+            "physics",
+            "Physics alone",
+            "One step a call, as the simulator does it.",
+            (Column("dynamics"), Column("vehicles", 0), Column("vehicle-steps [million/s]")),
+            tuple((row.dynamics, row.vehicles, 1e-6 * row.steps_s) for row in made.physics),
+        )
+    )
+    show(
+        ResultTable(
+            "packing",
+            "Telemetry alone",
+            "From the vehicles' state to frames; pymavlink packs the same messages from numbers.",
+            (Column("vehicles", 0), Column("message [us]"), Column("pymavlink [us]"), Column("ratio")),
+            tuple((row.vehicles, row.message_us, row.pymavlink_us, row.ratio) for row in made.packing),
+        )
+    )
+    alone = tuple(
+        (
+            *(each.vehicles, 100.0 * each.core, each.late_p99_ms, each.late_worst_ms, each.left_out),
+            *(each.messages_s, each.message_us, each.memory_mb),
+        )
+        for each in made.alone
+    )
+    columns = (
+        *(Column("vehicles", 0), Column("of a core [%]", 1), Column("late p99 [ms]"), Column("worst [ms]")),
+        *(Column("left out", 0), Column("messages [1/s]", 0), Column("message, all in all [us]", 1)),
+        Column("memory [MB]", 1),
+    )
+    text = "A process of its own in real time, with default telemetry to a sink that counts."
+    show(ResultTable("alone", "The simulator alone", text, columns, alone))
+
+
+def _show_flights(made: SimBench) -> None:
+    flown, real = made.virtual, made.real
+    show(
+        ResultTable(
+            "virtual",
+            "A flight in virtual time",
+            "Station and simulator on one core, seconds of the processor; imports and report are not counted.",
+            (
+                *(Column("vehicles", 0), Column("flight [s]", 1), Column("took [s]"), Column("times real", 1)),
+                *(Column("imports [s]"), Column("report [s]")),
+            ),
+            (
+                (
+                    *(flown.vehicles, flown.flight_s, flown.cpu_s),
+                    *(flown.times_real, flown.imports_s, flown.report_s),
+                ),
+            ),
+        )
+    )
+    if real is None:
+        return
+    columns = (
+        *(Column("vehicles", 0), Column("flight [s]", 1), Column("completed"), Column("error rms [m]", 3)),
+        *(Column("worst [m]"), Column("setpoints [Hz]", 1), Column("late p99 [ms]"), Column("left out", 0)),
+        *(Column("station [% of a core]", 1), Column("simulator [% of a core]", 1)),
+    )
+    cells = (
+        *(real.vehicles, real.flight_s, "yes" if real.completed else "NO", real.error_rms_m, real.error_worst_m),
+        *(real.setpoint_hz, real.late_p99_ms, real.left_out, 100.0 * real.station_core, 100.0 * real.simulator_core),
+    )
+    text = "Station and simulator as two processes on this machine; planning and evaluation included."
+    show(ResultTable("real", "A large swarm in real time", text, columns, (cells,)))
+    if real.reason:
+        tell(f"the large swarm: {real.reason}")
+
+
+def _text(path: Path) -> str:
+    """Return what a mission file holds.
+
+    Raises:
+        MissionError: it cannot be read.
+    """
+    try:
+        return path.read_text()
+    except OSError as error:
+        raise MissionError(f"{path}: {error.strerror or error}") from error
 
 
 def _memory(missions: Path) -> dict[str, object]:
     path = missions / "circle.toml"
-    try:
-        text = path.read_text()
-    except OSError as error:
-        raise MissionError(f"{path}: {error.strerror or error}") from error
+    text = _text(path)
     tell(f"flying {path} for an hour in virtual time; that takes some minutes ...")
     made = memory_bench(text)
     met = made.growth_mb <= made.budget_mb

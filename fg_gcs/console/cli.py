@@ -29,6 +29,7 @@ examples:
   fg-gcs bench track --flights 20 --jobs 2           moving targets and what is required; 20 random flights besides
   fg-gcs bench record                                what recording nine vehicles takes of a core
   fg-gcs bench stream                                setpoints beside other ground stations and a bare loop
+  fg-gcs bench sim                                   the simulator alone, and whole flights with it
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
 exit codes: 0 done, 1 the flight was aborted, and every vehicle is down, 2 bad input, 3 no vehicle answered,
@@ -43,6 +44,15 @@ STREAM_EPILOG = """examples:
   fg-gcs bench stream --json --seconds 30            longer, and one JSON object for programs
 
 Vehicles are played by a small process of their own, which sends frames made beforehand and counts what comes.
+"""
+
+
+SIM_EPILOG = """examples:
+  fg-gcs bench sim                                   everything; takes some minutes, on a quiet machine
+  fg-gcs bench sim --swarm 0 --vehicles 250          without the flight in real time
+  fg-gcs bench sim --json --seconds 60               longer, and one JSON object for programs
+
+A tick that is left out counts as late by a whole tick. Shares of a core and memory are what Linux tells of a process.
 """
 
 
@@ -163,7 +173,14 @@ def _add_bench(commands: Commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_stream(stream)
-    for each in (plan, track, record, stream):
+    sim = whats.add_parser(
+        "sim",
+        help="the simulator alone, a flight in virtual time, and a large swarm in real time",
+        epilog=SIM_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_sim_bench(sim)
+    for each in (plan, track, record, stream, sim):
         each.add_argument("--json", action="store_true", help="print one JSON object, the last line of stdout")
     track.add_argument(
         "--flights", type=_count, default=0, metavar="N", help="fly N random missions besides (default: none)"
@@ -181,7 +198,7 @@ def _add_bench(commands: Commands) -> None:
     record.add_argument(
         "--hour", action="store_true", help="how memory grows in an hour of virtual flight instead: takes minutes"
     )
-    for each in (track, record):
+    for each in (track, record, sim):
         each.add_argument(
             "--missions",
             type=Path,
@@ -207,6 +224,27 @@ def _add_stream(stream: argparse.ArgumentParser) -> None:
         "--seconds", type=_positive, default=10.0, metavar="S", help="of each stream (default: %(default)g s)"
     )
     stream.add_argument("--alone", action="store_true", help="leave mavutil and MAVSDK out")
+
+
+def _add_sim_bench(sim: argparse.ArgumentParser) -> None:
+    sim.add_argument(
+        "--vehicles",
+        type=_jobs,
+        nargs="+",
+        default=[9, 50, 100, 250],
+        metavar="N",
+        help="fleets to measure alone, up to 250 (default: 9 50 100 250)",
+    )
+    sim.add_argument(
+        "--swarm",
+        type=_count,
+        default=249,
+        metavar="N",
+        help="vehicles of the flight in real time, an odd number; 0: no such flight (default: %(default)s)",
+    )
+    sim.add_argument(
+        "--seconds", type=_positive, default=20.0, metavar="S", help="of each fleet alone (default: %(default)g s)"
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

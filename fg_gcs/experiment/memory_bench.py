@@ -74,7 +74,7 @@ class _Looks(Observer):
         Path("/proc/self/clear_refs").write_text("5")
 
 
-def memory_mb(key: str) -> float:
-    """Return the memory that the process has (``VmRSS``), or had at most (``VmHWM``) [MB]."""
-    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(key))
+def memory_mb(key: str, process: int | str = "self") -> float:
+    """Return the memory that a process has (``VmRSS``), or had at most (``VmHWM``) [MB]."""
+    (line,) = (line for line in Path(f"/proc/{process}/status").read_text().splitlines() if line.startswith(key))
     return 1024e-6 * float(line.split()[1])

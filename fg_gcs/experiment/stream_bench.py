@@ -22,8 +22,8 @@ from fg_gcs.errors import LinkError
 from fg_gcs.experiment.bare_process import bare_vehicles, free_ports
 from fg_gcs.experiment.baseline import Progress
 from fg_gcs.experiment.baselines.ground_stations import BareLoop, GroundStation, Mavsdk, Mavutil, Numbers
+from fg_gcs.experiment.required import Figure, at_most
 from fg_gcs.experiment.streaming import OwnStation, Streaming, stream, telemetry_us
-from fg_gcs.experiment.tables import NOTHING
 
 LARGE: Final = 250
 RATIO: Final = 2.0  # of a setpoint's time from array to socket to the bare loop's, in a large swarm
@@ -51,15 +51,6 @@ class Size(NamedTuple):
     race_s: float = 2.0  # of each race against the bare loop
     stream_s: float = 10.0  # of each stream
     others: bool = True  # other ground stations as well
-
-
-class Figure(NamedTuple):
-    """One measured figure beside what is required of it."""
-
-    name: str
-    required: str
-    measured: float | None
-    met: bool
 
 
 class SetpointRow(NamedTuple):
@@ -97,19 +88,14 @@ class StreamBench(NamedTuple):
         wrong = sum(row.wrong for row in self.setpoints if row.station == OWN)
         wrong += sum(each.wrong for each in (*self.streams, many))
         return (
-            _at_most(f"setpoint from array to socket, {largest.vehicles} vehicles [bare sendto]", most_ratio, ratio),
-            _at_most("telemetry message read into state and recorded [us]", TELEMETRY_US, self.telemetry_us),
-            _at_most(f"{largest.vehicles} vehicles at {largest.rate_hz:g} Hz [of a core]", CORE, largest.core),
-            _at_most(f"{many.vehicles} vehicles at {many.rate_hz:g} Hz [of a core]", MANY_CORE, many.core),
-            _at_most("their p99 lateness [ms]", MANY_LATE_MS, many.late_p99_ms),
-            _at_most("memory with them [MB]", MANY_MEMORY_MB, many.memory_mb),
-            _at_most("setpoints at vehicles that they are not for", 0.0, float(wrong)),
+            at_most(f"setpoint from array to socket, {largest.vehicles} vehicles [bare sendto]", most_ratio, ratio),
+            at_most("telemetry message read into state and recorded [us]", TELEMETRY_US, self.telemetry_us),
+            at_most(f"{largest.vehicles} vehicles at {largest.rate_hz:g} Hz [of a core]", CORE, largest.core),
+            at_most(f"{many.vehicles} vehicles at {many.rate_hz:g} Hz [of a core]", MANY_CORE, many.core),
+            at_most("their p99 lateness [ms]", MANY_LATE_MS, many.late_p99_ms),
+            at_most("memory with them [MB]", MANY_MEMORY_MB, many.memory_mb),
+            at_most("setpoints at vehicles that they are not for", 0.0, float(wrong)),
         )
-
-
-def _at_most(name: str, most: float, measured: float | None) -> Figure:
-    required = f"<= {most:g}" if math.isfinite(most) else NOTHING
-    return Figure(name, required, measured, measured is not None and measured <= most)
 
 
 def is_installed(package: str) -> bool:

@@ -156,9 +156,9 @@ class Sortie:
 
     def _new(self, watched: Collection[Kind]) -> list[Finding]:
         """Return what is wrong now, of some kinds, and was not before."""
-        fleet = self._fleet
+        fleet, now_s = self._fleet, self._time()
         found = findings(
-            fleet.vehicles, fleet.positions_enu_m(), fleet.states.position_at_s, self._task.rules, self._time()
+            fleet.vehicles, fleet.positions_enu_m(now_s), fleet.states.position_at_s, self._task.rules, now_s
         )
         new = [one for one in found if one.kind in watched and (one.kind, one.vehicles) not in self._known_faults]
         self._known_faults.update((one.kind, one.vehicles) for one in new)

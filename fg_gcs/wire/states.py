@@ -60,7 +60,8 @@ class StateTable:
 
     Attributes:
         position_ned_m: Shape (V, 3) [m; NED from each vehicle's own local origin]; NaN before the first.
-        position_at_s: Our loop time when it came, shape (V,) [s]; minus infinity before the first.
+        velocity_ned_m_s: Shape (V, 3) [m/s; NED], of the same samples.
+        position_at_s: Our loop time when they came, shape (V,) [s]; minus infinity before the first.
     """
 
     def __init__(self, count: int) -> None:
@@ -68,6 +69,7 @@ class StateTable:
         self._data = bytearray(_ALL.pack(*nothing) * count)
         rows: NDArray[Any] = np.frombuffer(self._data, _LAYOUT)
         self.position_ned_m: NDArray[np.float64] = rows["position_ned_m"]
+        self.velocity_ned_m_s: NDArray[np.float64] = rows["velocity_ned_m_s"]
         self.position_at_s: NDArray[np.float64] = rows["position_at_s"]
 
     def __getitem__(self, row: int) -> State:

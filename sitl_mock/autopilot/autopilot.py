@@ -20,7 +20,7 @@ from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.autopilot.profile import Behaviour, FlightMode, Manners, ModeEvent, Need
 from sitl_mock.autopilot.setpoints import Interpretation, Pose, SetpointEffect, SetpointFields
 from sitl_mock.autopilot.table import VehicleTable, vec3
-from sitl_mock.links import Link
+from sitl_mock.links import Link, phase_s
 from sitl_mock.messages import CommandResult, Fields, Landed, Outgoing, Severity, SystemStatus
 from sitl_mock.physics.geodesy import World
 from sitl_mock.physics.reference import Limits, Reference, Thrust, Vec3
@@ -78,7 +78,8 @@ class Autopilot:
         self.guidance = Guidance(rules, self.parameters, setup.drift_rad)
         self.modes = {mode.name: mode for mode in profile.modes}
         self.mode = self.intended = self.modes[profile.first_mode]
-        self.links = [Link(profile.default_streams, self.boot.heartbeat_s) for _ in range(setup.links)]
+        start_s = self.boot.heartbeat_s + phase_s(setup.row)
+        self.links = [Link(profile.default_streams, start_s) for _ in range(setup.links)]
         self.outbox: list[Outgoing] = []
         self.now_s = 0.0
         self.table, self.row = table, setup.row
@@ -331,7 +332,7 @@ class Autopilot:
         self.gcs_missed = self.origin_set = False
         self.guidance.enter(self.body)
         self.guidance.setpoint = None
-        start_s = self.now_s + self.boot.heartbeat_s
+        start_s = self.now_s + self.boot.heartbeat_s + phase_s(self.row)
         self.links = [Link(self.profile.default_streams, start_s) for _ in self.links]
         self.outbox.clear()
         self._deferred.clear()

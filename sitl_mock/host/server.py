@@ -23,6 +23,7 @@ from sitl_mock.faults.incidents import write_truth
 from sitl_mock.faults.schema import ImpairmentOptions, check_vehicles
 from sitl_mock.host.clock import SimulatedClock
 from sitl_mock.host.fleet import Fleet, FleetOptions, Sent, check_system_ids
+from sitl_mock.host.lateness import Lateness
 from sitl_mock.host.targets import TargetOptions, Targets
 from sitl_mock.links import DUE_SLACK_S
 from sitl_mock.messages import CommandResult, Fields
@@ -189,10 +190,14 @@ class Simulator:
 
     Args:
         options: what to simulate.
+
+    Attributes:
+        lateness: of ticks, by the clock of the loop; nothing where time does not go by itself.
     """
 
     def __init__(self, options: SimulatorOptions) -> None:
         self.options = options
+        self.lateness = Lateness()
         self.fleet = Fleet(options, len(options.remotes))
         self.targets = Targets(options.targets, len(options.remotes), options.origin_deg_m)
         links = len(options.remotes)
@@ -203,6 +208,7 @@ class Simulator:
         self._loop: asyncio.AbstractEventLoop | None = None  # once it was started
         self._clock: SimulatedClock | None = None  # likewise
         self._timer: asyncio.Handle | None = None
+        self._number, self._due_s = 0, 0.0  # of the next tick, and when it is due by the loop, if time goes by itself
 
     async def __aenter__(self) -> Self:
         """Start.
@@ -232,7 +238,7 @@ class Simulator:
                 self._ports.append([])
                 for link, remote in enumerate(self.options.remotes):
                     port = _Port(self, vehicle, link, remote)
-                    await _bind(loop, port, self.options.local_port(vehicle, link))
+                    await _bind(loop, port, self.options.local_port(vehicle, link), self.options.remotes)
                     self._ports[vehicle].append(port)
         except PortUnavailable:
             await self.close()
@@ -380,11 +386,15 @@ class Simulator:
         return now_s
 
     def _tick(self) -> None:
-        clock = self._running_clock()
+        assert self._loop is not None
+        clock, tick_s = self._running_clock(), self.fleet.physics.time.tick_s
+        number, late_s = self._number, self._loop.time() - self._due_s
         if not clock.goes:
-            clock.move(self.fleet.physics.time.tick_s)
+            clock.move(tick_s)
         self._say_what_is_due()
         self._schedule_tick()
+        if clock.goes:
+            self.lateness.add(max(0.0, late_s), max(0, self._number - number - 1), tick_s / clock.speed)
 
     def _say_what_is_due(self) -> None:
         now_s = self._advance()
@@ -412,8 +422,9 @@ class Simulator:
         if not clock.goes:
             self._timer = self._loop.call_soon(self._tick)
             return
-        done = math.floor(clock.now_s() / tick_s + 1e-6)  # 1e-6: just on time is not late
-        self._timer = self._loop.call_at(clock.loop_s((done + 1) * tick_s), self._tick)
+        self._number = math.floor(clock.now_s() / tick_s + 1e-6) + 1  # 1e-6: just on time is not late
+        self._due_s = clock.loop_s(self._number * tick_s)
+        self._timer = self._loop.call_at(self._due_s, self._tick)
 
     def _cancel_timers(self) -> None:
         for timer in (self._timer, self._delivery):
@@ -483,15 +494,23 @@ class Simulator:
         self._deliver(self._advance())
 
 
-async def _bind(loop: asyncio.AbstractEventLoop, port: _Port, number: int) -> None:
-    """Give a port its socket.
+async def _bind(loop: asyncio.AbstractEventLoop, port: _Port, number: int, remotes: tuple[Address, ...]) -> None:
+    """Give a port its socket; where any will do, none of those that others are to be heard at.
 
     Raises:
         PortUnavailable: the system refuses.
     """
+    refused: list[asyncio.BaseTransport] = []  # kept open, so that the system gives another one
     try:
-        await loop.create_datagram_endpoint(lambda: port, local_addr=(HOST, number))
+        while True:
+            transport, _ = await loop.create_datagram_endpoint(lambda: port, local_addr=(HOST, number))
+            if number or (HOST, port.number) not in remotes:
+                return
+            refused.append(transport)
     except OSError as error:
         raise PortUnavailable(number, error.strerror or str(error)) from error
     except OverflowError as error:
         raise PortUnavailable(number, "there is no such port") from error
+    finally:
+        for each in refused:
+            each.close()

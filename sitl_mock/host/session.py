@@ -3,34 +3,49 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 import stat
 import sys
+from contextlib import suppress
+from pathlib import Path
 
 from sitl_mock.faults.schema import FLIGHT_STAGES
+from sitl_mock.host.memory import settle
 from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
 
 PORT_UNAVAILABLE = 2  # exit code
 CHUNK_BYTES = 4096
 
 
-def simulate(options: SimulatorOptions, with_parent: bool) -> int:
+def simulate(options: SimulatorOptions, with_parent: bool, timing: Path | None = None) -> int:
     """Run until SIGINT or SIGTERM, or (`with_parent`) until standard input ends.
+
+    Args:
+        options: what to simulate.
+        with_parent: end with standard input, and read stages there.
+        timing: a JSON file for how late ticks were, see `Lateness.figures`; written at the end.
 
     Returns:
         Exit code.
     """
-    return asyncio.run(_simulate(options, with_parent))
+    simulator = Simulator(options)
+    settle()  # everything is loaded now, and no tick waits yet
+    code = asyncio.run(_simulate(simulator, with_parent))
+    if timing is not None:
+        with suppress(OSError):  # a full disk is no matter for vehicles
+            timing.write_text(json.dumps(simulator.lateness.figures()) + "\n")
+    return code
 
 
-async def _simulate(options: SimulatorOptions, with_parent: bool) -> int:
+async def _simulate(simulator: Simulator, with_parent: bool) -> int:
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
     try:
-        async with Simulator(options) as simulator:
+        async with simulator:
             watcher = asyncio.create_task(_watch_parent(simulator, ended)) if with_parent else None
             sys.stdout.write(ready_line(simulator) + "\n")
             sys.stdout.flush()

@@ -129,3 +129,15 @@ def test_a_setpoint_that_must_not_leave_stops_nobody_elses(bad: float, tmp_path:
     assert made.streamer.refused == RATE_HZ
     assert made.events.count("setpoints of vehicle 2 are not finite or beyond 1e+06 and are not sent") == 1
     assert not (made.table["system_id"] == 2).any()
+
+
+def test_positions_that_came_at_different_times_are_carried_on_to_one(tmp_path: Path) -> None:
+    fleet = streamed(tmp_path, np.zeros((3, 3))).fleet
+    now_s, velocity = 100.0, (2.0, -3.0, 0.5)  # all of them fly alike, NED
+    for row, age_s in enumerate((0.0, 0.04, 0.09)):
+        fleet.states.set_motion(row, *(-age_s * v for v in velocity), *velocity, 0.0, now_s - age_s)
+    origins = np.array([frame.origin_enu_m for frame in fleet.frames])
+    np.testing.assert_allclose(fleet.positions_enu_m(now_s) - origins, 0.0, atol=1e-12)
+    assert np.ptp(fleet.positions_enu_m() - origins, axis=0).max() > 0.2
+    long_ago = fleet.positions_enu_m(now_s + 60.0)  # nobody knows
+    np.testing.assert_allclose(long_ago, fleet.positions_enu_m() + 0.5 * np.array([-3.0, 2.0, -0.5]), atol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import random
 import signal
 import socket
@@ -63,7 +64,8 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     async def create_datagram_endpoint(  # type: ignore[override]  # the few arguments that the simulator uses
         self, factory: Callable[[], asyncio.DatagramProtocol], local_addr: Address
     ) -> tuple[Wire, asyncio.DatagramProtocol]:
-        port = local_addr[1] or 50000 + len(self.protocols)
+        free = (port for port in itertools.count(50000) if (local_addr[0], port) not in self.protocols)
+        port = local_addr[1] or next(free)
         if (local_addr[0], port) in self.protocols:
             raise OSError(98, "Address already in use")
         wire, protocol = Wire(self, (local_addr[0], port)), factory()
@@ -232,6 +234,33 @@ def test_long_stall_slips_instead_of_racing() -> None:
     loop.run_until_s(loop.now_s + 0.1)
     assert sim.fleet.time_s == pytest.approx(1.6, abs=0.05)  # 0.5 s are made up
     assert sim.counters.slipped_s == pytest.approx(29.5, abs=0.05)
+    loop.run_until_complete(sim.close())
+    loop.close()
+
+
+def test_ticks_are_as_late_as_the_loop_and_left_out_ones_are_counted() -> None:
+    loop = VirtualLoop()
+    sim = Simulator(options("px4", vehicles=1, port_base=18570))
+    loop.run_until_complete(sim.start())
+    loop.run_until_s(1.0)
+    assert sim.lateness.left_out == 0
+    assert sim.lateness.worst_s == pytest.approx(0.0, abs=1e-3)
+    loop.now_s += 0.055
+    loop.run_until_s(loop.now_s + 0.1)
+    assert sim.lateness.left_out == 4  # of 1.01 to 1.05 s all but the first, which begins late
+    assert sim.lateness.worst_s == pytest.approx(0.046, abs=1e-3)
+    assert sim.lateness.ticks == 115
+    loop.run_until_complete(sim.close())
+    loop.close()
+
+
+def test_any_port_is_none_of_those_that_others_are_heard_at() -> None:
+    loop = VirtualLoop()
+    remotes = (("127.0.0.1", 50001), ("127.0.0.1", 50002))
+    sim = Simulator(options("px4", remotes=remotes))
+    loop.run_until_complete(sim.start())
+    assert len(loop.protocols) == 4
+    assert not set(remotes) & set(loop.protocols)
     loop.run_until_complete(sim.close())
     loop.close()
 

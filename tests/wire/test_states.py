@@ -27,4 +27,5 @@ def test_rows_are_kept_apart_and_arrays_show_them(states: list[State], changed: 
     assert [table[number] for number in range(len(states))] == wanted
     assert [table.numbers(number) for number in range(len(states))] == [tuple(state) for state in wanted]
     assert table.position_ned_m.tolist() == [list(state[:3]) for state in wanted]
+    assert table.velocity_ned_m_s.tolist() == [list(state[3:6]) for state in wanted]
     assert table.position_at_s.tolist() == [state.position_at_s for state in wanted]
