@@ -137,15 +137,6 @@ def test_a_velocity_is_reached_as_fast_as_by_ruckig_and_in_the_same_place(
     assert axes.end == pytest.approx(np.array(judge.at_time(judge.duration)), abs=1e-6)
 
 
-def test_an_axis_that_has_its_velocity_already_keeps_it_while_others_brake() -> None:
-    axes = Axes(0.0, np.zeros((3, 2)))
-    axes.smoothly(np.array([[3.0, 1.0], [2.0, 0.0], [0.5, 0.0]]), 2.0)
-    assert axes.to_velocity(np.zeros(2), bounds(2))
-    states = axes.at(np.linspace(2.0, axes.end_s + 1.0, 99))
-    assert axes.end_s > 2.5
-    assert states[:, :, 1] == pytest.approx(np.tile([1.0, 0.0, 0.0], (99, 1)), abs=1e-9)
-
-
 def test_a_long_chain_keeps_what_it_began_with() -> None:
     axes = Axes(0.0, np.zeros((3, 2)))
     time_s, shown = np.linspace(0.0, 1.0, 20), []

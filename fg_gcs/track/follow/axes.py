@@ -290,6 +290,7 @@ def _reach_velocity(
     reached = np.empty(len(counts))
     for d in range(len(counts)):
         low, high, j = lowest[d], highest[d], jerk[d]
+        first = counts[d]
         now, motion = begin, (state[0, d], state[1, d], state[2, d])
         beyond = motion[2] - min(max(motion[2], low), high)
         now, motion = _pushed(table, counts, d, now, motion, -math.copysign(j, beyond), abs(beyond) / j)
@@ -301,7 +302,14 @@ def _reach_velocity(
         now, motion = _pushed(table, counts, d, now, motion, side * j, max(peak - a, 0.0) / j)
         now, motion = _pushed(table, counts, d, now, motion, 0.0, stay)
         now, motion = _pushed(table, counts, d, now, motion, -side * j, peak / j)
-        _put(table, counts, d, now, (motion[0], goal[d], 0.0, 0.0, 0.0, 0.0))
+        if counts[d] > first:
+            _put(table, counts, d, now, (motion[0], goal[d], 0.0, 0.0, 0.0, 0.0))
+        else:  # FIXME: a last phase of fifth degree goes on by its cubic part, so that the motion is refused
+            last = table[d, counts[d] - 1]
+            t = now - last[1]
+            place = last[2] + t * (last[3] + t * (last[4] + t * last[5]))
+            speed, half = last[3] + t * (2.0 * last[4] + 3.0 * t * last[5]), last[4] + 3.0 * t * last[5]
+            _put(table, counts, d, now, (place, speed, half, 0.0, 0.0, 0.0))
         state[0, d], state[1, d], state[2, d], reached[d] = motion[0], goal[d], 0.0, now
         end = max(end, now)
     for d in range(len(counts)):
