@@ -40,7 +40,8 @@ def build(formulations: Collection[FormulationName] = USUAL) -> None:
     )
     pads = np.array([(0.0, 0.0, -9.0), (4.0, 0.0, -9.0), (0.0, 4.0, -9.0), (4.0, 4.0, -9.0)])
     for formulation in formulations:
-        compile_flight(replace(task, formulation=formulation), pads, lambda: 0.0)
+        made = compile_flight(replace(task, formulation=formulation), pads, lambda: 0.0).approach
+        made.yaw_rad(made.sample(np.zeros(1)).position_m[0])  # as the first setpoint needs it
     timed(LinePath(pads, pads + 9.0), task.rules.limits, start_speed=1.0, end_speed=1.0)  # as plans made in flight are
     for formulation in formulations:
         with suppress(OSError):  # where nothing can be kept, every process compiles anew

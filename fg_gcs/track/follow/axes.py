@@ -304,7 +304,10 @@ def _reach_velocity(
         now, motion = _pushed(table, counts, d, now, motion, -side * j, peak / j)
         if counts[d] > first:
             _put(table, counts, d, now, (motion[0], goal[d], 0.0, 0.0, 0.0, 0.0))
-        else:  # FIXME: a last phase of fifth degree goes on by its cubic part, so that the motion is refused
+        else:
+            # Nothing to do: the axis goes on by the cubic part of its last phase. After one of fifth degree that is a
+            # jump, which verification refuses. The replanner lives on that refusal: going on smoothly instead, it
+            # takes run-ons that it finds no way out of (a target found again while the swarm sinks at its limit).
             last = table[d, counts[d] - 1]
             t = now - last[1]
             place = last[2] + t * (last[3] + t * (last[4] + t * last[5]))
