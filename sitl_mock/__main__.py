@@ -190,7 +190,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate until the process is interrupted.
 
     Returns:
-        Exit code: 0 after SIGINT, SIGTERM or the end of the parent; 2 for bad options or a port in use.
+        Exit code: 0 after SIGINT, SIGTERM or the end of the parent; 2 for bad options, 3 for a port in use.
     """
     try:
         options = options_of(arguments)
@@ -241,22 +241,25 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
         collisions=not arguments.harmless,
         dynamics=arguments.dynamics,
         lockstep=arguments.lockstep,
-        faults=tuple(_read("--fault", parse_fault, text) for text in arguments.fault or ()),
-        impairments=tuple(_read("--impair", parse_impairment, text) for text in arguments.impair or ()),
+        faults=_read_all("--fault", parse_fault, arguments.fault),
+        impairments=_read_all("--impair", parse_impairment, arguments.impair),
         manners=Manners(arguments.strict_commands, arguments.new_partner, arguments.parameter_freeze),
     )
 
 
-def _read(option: str, parse: Callable[[str], Options], text: str) -> Options:
-    """Read the JSON of an option.
+def _read_all(option: str, parse: Callable[[str], Options], texts: list[str] | None) -> tuple[Options, ...]:
+    """Read the JSON of an option that may be repeated.
 
     Raises:
-        ValueError: one line that says what is wrong.
+        ValueError: one line that says what is wrong with which of them.
     """
-    try:
-        return parse(text)
-    except ValueError as error:
-        raise ValueError(f"{option} {text}: {error}") from error
+    found = []
+    for number, text in enumerate(texts or (), start=1):
+        try:
+            found.append(parse(text))
+        except ValueError as error:
+            raise ValueError(f"{option} {number}: {error}") from error
+    return tuple(found)
 
 
 def main() -> int:

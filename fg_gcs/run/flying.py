@@ -145,6 +145,8 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
     chosen = options or FlyOptions()
     networks = _networks(mission, chosen)
     wish = None
+    if networks and (chosen.faults or chosen.impairments or chosen.dynamics):
+        raise MissionError("dynamics, faults and impairments are the built-in simulator's: fly without --connect")
     if not networks:
         wish = wish_of(mission, chosen.autopilot, chosen.dynamics, chosen.faults, chosen.impairments)
         check_simulator(mission, wish)

@@ -19,6 +19,9 @@ BEHIND_S = 1e-6  # a datagram that comes behind the next one, when that is not l
 WAIT_S = 0.1  # for the next one, at most
 
 
+Way = tuple[int, int, int]  # row, link, direction
+
+
 class Delivery(NamedTuple):
     """A datagram that is due some time; in the order of time, and of being sent."""
 
@@ -59,8 +62,7 @@ class Impairments:
             )
         self._free = [[not rules for rules in both] for both in self._rules]
         self._under_way: list[Delivery] = []
-        self._newest_s: dict[tuple[int, int, int], float] = {}  # a link keeps its order but where it says otherwise
-        self._held: dict[tuple[int, int, int], Delivery] = {}  # goes behind the next one
+        self._held: dict[Way, Delivery] = {}  # goes behind the next one
         self._orders = 0
 
     def concern(self, row: int, direction: int) -> bool:
@@ -69,19 +71,16 @@ class Impairments:
 
     def send(self, row: int, link: int, direction: int, data: bytes, now_s: float) -> None:
         """Put a datagram on its way; `arrived` has it, or what has become of it, when it is due."""
-        copies, due_s, behind = 1, now_s, False
+        copies, due_s, behind, way = 1, now_s, False, (row, link, direction)
         for rule in self._rules[row][direction]:
             start_s = self._stages.start_s(rule.options.window, row)
             if not start_s <= now_s < start_s + rule.options.window.for_s or not rule.means(data):
                 continue
             verdict = rule.judge(data)
             copies *= verdict.copies
-            due_s += verdict.late_s
+            due_s = rule.queued(way, due_s + verdict.late_s) if copies else due_s
             behind = behind or verdict.behind
             data = verdict.data
-        way = (row, link, direction)
-        due_s = max(due_s, self._newest_s.get(way, due_s))
-        self._newest_s[way] = due_s
         for _ in range(copies):
             delivery = Delivery(due_s, self._next_order(), row, link, direction, data)
             if behind and way not in self._held:
@@ -131,10 +130,16 @@ class _Rule:
         self.options = options
         self._random = random
         self._ids = frozenset(layout(name).id for name in options.values["messages"])
+        self._newest_s: dict[Way, float] = {}
 
     def means(self, data: bytes) -> bool:
         """Whether it is about this datagram."""
         return not self._ids or first_message_id(data) in self._ids
+
+    def queued(self, way: Way, due_s: float) -> float:
+        """When a datagram comes that is late: not before another such one that was sent before it."""
+        self._newest_s[way] = max(due_s, self._newest_s.get(way, due_s))
+        return self._newest_s[way]
 
     def judge(self, data: bytes) -> _Verdict:
         """Draw what becomes of a datagram; the same number of draws for each, so that none changes another's."""

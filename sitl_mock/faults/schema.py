@@ -46,10 +46,12 @@ class Kind(NamedTuple):
     Attributes:
         keys: that it has beside those that say when and where.
         says: what it does, for people.
+        once: it happens at a moment, and does not end.
     """
 
     keys: Mapping[str, Key]
     says: str
+    once: bool = False
 
 
 def number(least: float = -FARTHEST_M, most: float = FARTHEST_M) -> Callable[[Any], float]:
@@ -183,15 +185,20 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             },
             "wind, beside what wind there is",
         ),
-        "motor_weak": Kind({"thrust": Key(_share, 0.7, "what is left of the thrust")}, "the motors give less"),
+        "motor_weak": Kind(
+            {"thrust": Key(_share, 0.7, "what is left of the thrust")},
+            "the greatest thrust falls; under measured dynamics every thrust does, until the autopilot has learnt it",
+        ),
         "motor_dead": Kind({}, "a motor stops: the vehicle falls"),
         "battery_low": Kind(
             {"remaining": Key(_share, 0.1, "what is left of the charge")},
             "the battery has suddenly less, and goes on from there",
+            once=True,
         ),
         "battery_empty": Kind(
             {"lasts_s": Key(_seconds, 60.0, "until the motors stop [s]")},
             "nothing is left in the battery",
+            once=True,
         ),
         "heartbeat_frozen": Kind({}, "heartbeats go on and say what the last one before said"),
         "commands_refused": Kind(
@@ -202,15 +209,18 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             },
             "commands are refused",
         ),
-        "reboot": Kind({}, "the autopilot boots anew, in the air as well: then the vehicle falls"),
-        "clock_jump": Kind({"by_s": Key(number(-LONGEST_S, LONGEST_S), None, "how far [s]")}, "its clock jumps"),
+        "reboot": Kind({}, "the autopilot boots anew, in the air as well: then the vehicle falls", once=True),
+        "clock_jump": Kind(
+            {"by_s": Key(number(-LONGEST_S, LONGEST_S), None, "how far [s]")}, "its clock jumps", once=True
+        ),
         "clock_drift": Kind(
             {"rate": Key(number(-0.5, 0.5), None, "seconds that it gains in a second")}, "its clock runs off"
         ),
-        "dead": Kind({}, "it says nothing more, hears nothing more, and falls"),
+        "dead": Kind({}, "it says nothing more, hears nothing more, and falls", once=True),
         "taken_over": Kind(
             {"mode": Key(text, None, "name of the mode that another client puts it into")},
             "another client changes its mode",
+            once=True,
         ),
     }
 )
@@ -282,9 +292,11 @@ def parse_fault(table: Mapping[str, Any] | str) -> FaultOptions:
     """
     keys = _table(table)
     kind = keys.pop("kind", None)
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise ValueError(f"kind = {kind!r}{_like(str(kind), KINDS)}; accepted: {', '.join(KINDS)}")
     window, values = _read(keys, KINDS[kind].keys, f"a fault of kind {kind!r}")
+    if KINDS[kind].once and "for_s" in keys:
+        raise ValueError(f"a fault of kind {kind!r} happens once and does not end: leave for_s out")
     if kind == "origin" and not any(values["offset_enu_m"]) and not any(values["rate_enu_m_s"]):
         raise ValueError("a fault of kind 'origin' needs offset_enu_m or rate_enu_m_s")
     return FaultOptions(kind, window, values)
@@ -338,8 +350,10 @@ def check_vehicles(window: Window, system_ids: Sequence[int]) -> None:
 
 
 def _table(table: Mapping[str, Any] | str) -> dict[str, Any]:
-    if not isinstance(table, str):
+    if isinstance(table, Mapping) and all(isinstance(key, str) for key in table):
         return dict(table)
+    if not isinstance(table, str):
+        raise ValueError("not a table of keys and values")
     try:
         keys = json.loads(table)
     except (ValueError, RecursionError) as error:

@@ -33,6 +33,8 @@ class Effect:
         subject: the vehicle.
     """
 
+    shared = False  # while another one of its kind goes on in the same vehicle, it does not end
+
     def __init__(self, values: Mapping[str, Any], subject: Subject) -> None:
         self.values = values
         self.vehicle = subject.autopilot
@@ -46,7 +48,7 @@ class Effect:
         """Act, some time after the beginning: 50 times a second, before anybody else does; sums are cleared before."""
 
     def end(self, now_s: float) -> None:
-        """End, at a simulated time."""
+        """End, at a simulated time; of several that are alike, each ends by itself, unless they are `shared`."""
 
 
 class _PositionNoise(Effect):
@@ -85,8 +87,11 @@ class _PositionDrift(_PositionOff):
 
 
 class _GpsLoss(Effect):
+    shared = True
+
     def begin(self, now_s: float) -> None:
-        self.vehicle.gps_lost_at_s = now_s
+        if self.vehicle.gps_lost_at_s is None:
+            self.vehicle.gps_lost_at_s = now_s
 
     def go_on(self, passed_s: float) -> None:
         self.disturbances.gps_lost[self.row] = True
@@ -168,6 +173,8 @@ class _BatteryEmpty(Effect):
 
 
 class _HeartbeatFrozen(Effect):
+    shared = True
+
     def begin(self, now_s: float) -> None:
         self.vehicle.heartbeat_frozen = True
 
@@ -338,7 +345,8 @@ class FaultSchedule:
         for running, since_s in self._active:
             if now_s - since_s >= running.options.window.for_s:
                 running.effect.vehicle.enter(now_s)
-                running.effect.end(now_s)
+                if not (running.effect.shared and self._goes_on(running, now_s)):
+                    running.effect.end(now_s)
                 touched.add(running.effect.row)
                 continue
             touched.add(running.effect.row)
@@ -347,6 +355,16 @@ class FaultSchedule:
             still_active.append((running, since_s))
         self._active = still_active
         return touched
+
+    def _goes_on(self, ended: _Running, now_s: float) -> bool:
+        """Whether another fault of the same kind goes on in the same vehicle."""
+        return any(
+            type(other.effect) is type(ended.effect)
+            and other.effect.row == ended.effect.row
+            and now_s - since_s < other.options.window.for_s
+            for other, since_s in self._active
+            if other is not ended
+        )
 
 
 def _ned(vector_enu: tuple[float, float, float]) -> Array:

@@ -32,6 +32,7 @@ from sitl_mock.protocol.layouts import layout
 from sitl_mock.protocol.rows import Scene, sendable
 
 DYNAMICS = ("paper", "measured")
+FARTHEST_M = 1e5  # of a pad: beyond, the world is not flat any more
 TIME_SLACK_S = 1e-9  # a step whose time floating point put a hair behind now is due
 WORST_ERROR_SIGMAS = 2.2  # measured origins: standard deviation 0.17 and 0.35 m, worst 0.39 and 0.75 m
 
@@ -79,6 +80,13 @@ class FleetOptions:
             )
         if self.autopilot not in profiles.names():
             raise ValueError(f"autopilot {self.autopilot!r} is not one of: {', '.join(profiles.names())}")
+        if not isinstance(self.seed, int) or self.seed < 0:
+            raise ValueError(f"the seed must be a whole number, 0 or more: {self.seed!r}")
+        if not all(math.isfinite(number) and abs(number) <= FARTHEST_M for pad in self.pads_enu_m for number in pad):
+            raise ValueError(f"pads must be numbers, at most {FARTHEST_M:g} m from the origin")
+        latitude_deg, longitude_deg, altitude_m = self.origin_deg_m
+        if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and math.isfinite(altitude_m)):
+            raise ValueError(f"the origin must be latitude, longitude and altitude: {self.origin_deg_m}")
         if self.dynamics not in DYNAMICS:
             raise ValueError(f"dynamics {self.dynamics!r} is not one of: {', '.join(DYNAMICS)}")
         if not self.wind_m_s >= 0.0:

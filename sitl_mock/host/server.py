@@ -204,6 +204,7 @@ class Simulator:
         self._impairments = Impairments(options.impairments, options.all_ids, links, self.fleet.stages, options.seed)
         self._ports: list[list[_Port]] = []  # [vehicle, then target][link]
         self._written = 0  # incidents
+        self._closed = False
         self._delivery: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None  # once it was started
         self._clock: SimulatedClock | None = None  # likewise
@@ -250,8 +251,10 @@ class Simulator:
     async def close(self) -> None:
         """Stop time and close every socket; once is enough, more do no harm."""
         self._cancel_timers()
-        if self._loop is not None:
+        if self._clock is not None:
             self._write_truth()
+            self._clock.pause()  # its time is over
+            self._closed = True
         for ports in self._ports:
             for port in ports:
                 port.close()
@@ -352,8 +355,11 @@ class Simulator:
 
         Raises:
             RuntimeError: it was not started, or is not paused.
+            ValueError: it is no time that can be waited for.
         """
         clock = self._running_clock()
+        if not 0.0 <= seconds <= LONGEST_STEP_S:
+            raise ValueError(f"a step takes from 0 to {LONGEST_STEP_S:g} s, not {seconds:g}")
         if not clock.paused:
             raise RuntimeError("only a paused simulator can be stepped")
         end_s = clock.now_s() + seconds
@@ -368,8 +374,8 @@ class Simulator:
         self._advance()
 
     def _running_clock(self) -> SimulatedClock:
-        if self._clock is None:
-            raise RuntimeError("the simulator was not started")
+        if self._clock is None or self._closed:
+            raise RuntimeError("the simulator was not started, or is closed")
         return self._clock
 
     def _advance(self) -> float:
@@ -460,7 +466,7 @@ class Simulator:
             "target_component": found[0].component,
         }
         acknowledgement = own.codecs[link].encode("COMMAND_ACK", fields, own.autopilot.system_id)
-        self._send([Sent(vehicle, link, acknowledgement)], self.now_s)
+        self._ports[vehicle][link].send(acknowledgement)  # past all impairments: time itself hangs on it
         return True
 
     def _send(self, sent: list[Sent], now_s: float) -> None:

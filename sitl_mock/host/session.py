@@ -11,11 +11,12 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+from sitl_mock.faults.incidents import write_truth
 from sitl_mock.faults.schema import FLIGHT_STAGES
 from sitl_mock.host.memory import settle
 from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
 
-PORT_UNAVAILABLE = 2  # exit code
+BAD_INPUT, PORT_UNAVAILABLE = 2, 3  # exit codes
 CHUNK_BYTES = 4096
 
 
@@ -31,6 +32,13 @@ def simulate(options: SimulatorOptions, with_parent: bool, timing: Path | None =
         Exit code.
     """
     simulator = Simulator(options)
+    if options.truth is not None:
+        try:
+            write_truth(options.truth, simulator.fleet.incidents)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            sys.stderr.write(f"sitl_mock: --truth {str(options.truth)!r}: {reason}\n")
+            return BAD_INPUT
     settle()  # everything is loaded now, and no tick waits yet
     code = asyncio.run(_simulate(simulator, with_parent))
     if timing is not None:

@@ -185,8 +185,8 @@ def _airframe(s: Row, c: Row, d: Row, m: Row, dt_s: float) -> None:
             rate = _clipped(rate, -m.attitude_rate_most_rad_s, m.attitude_rate_most_rad_s)
             s.lean_per_s[a] += (rate - s.lean_per_s[a]) * min(1.0, dt_s / m.attitude_rate_time_s)
             s.lean[a] += s.lean_per_s[a] * dt_s
-        most = d.thrust_share * m.thrust_most_m_s2
-        s.thrust_m_s2 += (min(wish, most) - s.thrust_m_s2) * min(1.0, dt_s / m.thrust_time_s)
+        given = d.thrust_share * min(wish, m.thrust_most_m_s2)
+        s.thrust_m_s2 += (given - s.thrust_m_s2) * min(1.0, dt_s / m.thrust_time_s)
     else:
         s.lean[0] = s.lean[1] = s.lean_per_s[0] = s.lean_per_s[1] = 0.0
         s.thrust_m_s2 = m.fall_lift_share * m.gravity_m_s2 if c.flying else 0.0

@@ -34,7 +34,7 @@ def boot_ms(body: BodyState) -> int:
 
 def boot_us(body: BodyState) -> int:
     """Microseconds since boot."""
-    return round(body.clock_s * 1e6)
+    return round(body.clock_s * 1e6) & 0xFFFFFFFFFFFFFFFF  # a clock that was set back wraps
 
 
 def local_m(vehicle: Autopilot, body: BodyState) -> Vec3:

@@ -383,6 +383,46 @@ def test_a_fault_is_in_its_vehicles_only_and_ends(autopilot: str) -> None:
     assert np.abs(station.fleet.swarm.estimated_position_m - station.fleet.swarm.position_m).max() < 0.01
 
 
+@BOTH
+def test_faults_of_one_kind_that_overlap_last_as_long_as_the_longest(autopilot: str) -> None:
+    """A short one inside a long one changes nothing."""
+    short: dict[str, Any] = {"at_s": AT_S + 1.0, "for_s": 1.0}
+    station = flown(
+        autopilot,
+        {"kind": "gps_loss", "for_s": 30.0},
+        {"kind": "gps_loss", **short},
+        {"kind": "heartbeat_frozen"},
+        {"kind": "heartbeat_frozen", **short},
+    )
+    stream(station, 12.0)
+    assert station.autopilot.mode.number == LAND_MODE[autopilot]
+    said = station.messages("HEARTBEAT", since_s=AT_S + 4.0)
+    assert {m.custom_mode for m in said} == {STREAM_MODE[autopilot]}
+    stream(station, 20.0)
+    assert station.autopilot.gps_lost_at_s is None
+
+
+@BOTH
+def test_a_weak_motor_under_measured_dynamics_sags_until_it_is_learnt(autopilot: str) -> None:
+    heights = []
+    for faults in ((), ({"kind": "motor_weak", "thrust": 0.8},)):
+        station = Station(
+            autopilot, dynamics="measured", faults=tuple(parse_fault({"at_s": AT_S, **f}) for f in faults)
+        )
+        station.run(2.0)
+        station.fly_to(HEIGHT_M)
+        stream(station, AT_S - station.now_s)
+        lowest_m = station.height_m()
+        for _ in range(20):
+            stream(station, 0.1)
+            lowest_m = min(lowest_m, station.height_m())
+        heights.append(lowest_m)
+    healthy_m, weak_m = heights
+    assert weak_m < healthy_m - 0.1
+    stream(station, 15.0)
+    assert station.height_m() == pytest.approx(HEIGHT_M, abs=1.0)
+
+
 def test_a_fault_waits_for_a_stage_of_the_flight() -> None:
     fault = {"kind": "dead", "stage": "hold", "at_s": 1.5}
     station = flown("px4", fault)
@@ -442,6 +482,12 @@ def test_every_kind_has_an_effect() -> None:
     [
         ({}, "kind = None"),
         ({"kind": "gps_los"}, "did you mean 'gps_loss'"),
+        ({"kind": ["dead"]}, "kind = ['dead']"),
+        ({"kind": {}}, "kind = {}"),
+        ({"kind": "dead", "for_s": 3.0}, "happens once"),
+        ({1: 2}, "not a table"),
+        (None, "not a table"),
+        (5, "not a table"),
         ({"kind": "gps_loss", "for": 3}, "has no key 'for' (did you mean 'for_s'?)"),
         ({"kind": "gps_loss", "vehicles": []}, "a list of system ids"),
         ({"kind": "gps_loss", "vehicles": [0]}, "a whole number from 1 to 255"),
@@ -462,7 +508,7 @@ def test_every_kind_has_an_effect() -> None:
         ({"kind": "origin", "offset_enu_m": [1, 0, 0], "told": 1}, "true or false"),
     ],
 )
-def test_bad_fault_tables_are_one_line(table: dict[str, Any], says: str) -> None:
+def test_bad_fault_tables_are_one_line(table: Any, says: str) -> None:
     with pytest.raises(ValueError, match=r".+") as raised:
         parse_fault(table)
     assert says in str(raised.value)

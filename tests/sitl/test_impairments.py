@@ -83,6 +83,19 @@ def test_some_messages_only(autopilot: str) -> None:
 
 
 @BOTH
+def test_what_is_late_or_lost_holds_nothing_else_back(autopilot: str) -> None:
+    table = {"delay_s": 3.0, "messages": ["HEARTBEAT"], "direction": "from_vehicle"}
+    for loss in (0.0, 1.0):
+        with impaired(autopilot, {**table, "loss": loss}) as world:
+            world.run(5.0)
+            assert max(delays_s(world, FIRST, READY_S)) < 0.01
+            assert len(stamps_ms(world, FIRST, READY_S)) == pytest.approx(5.0 * RATE_HZ, abs=2)
+            late = world.station.messages("HEARTBEAT", FIRST, READY_S + 0.5)
+            assert [t for t, _ in late if t < READY_S + 2.9] == []
+            assert bool(late) is (loss == 0.0)
+
+
+@BOTH
 def test_delay_and_jitter_keep_the_order(autopilot: str) -> None:
     with impaired(autopilot, {"delay_s": 0.2, "jitter_s": 0.1, "direction": "from_vehicle"}) as world:
         world.run(10.0)

@@ -160,8 +160,27 @@ def test_the_port_of_a_process_in_use_is_one_clear_line() -> None:
         port = taken.getsockname()[1]
         command = [sys.executable, "-m", "sitl_mock", "--port-base", str(port)]
         run = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert run.returncode == 2
+    assert run.returncode == 3
     assert run.stderr.splitlines() == [
         f"sitl_mock: port {port} on 127.0.0.1 cannot be used: Address already in use; "
         "choose another port base (0: any free ports)"
     ]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"seed": -1}, {"seed": 1.5}, {"pads_enu_m": ((float("nan"), 0.0),)}, {"origin_deg_m": (91.0, 0.0, 0.0)}],
+    ids=str,
+)
+def test_options_that_mean_nothing_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=r"seed|pads|origin"):
+        SimulatorOptions(**options)
+
+
+@pytest.mark.parametrize("place", ["", "/nowhere/at/all.json"])
+def test_a_truth_that_cannot_be_written_is_told_at_once(place: str) -> None:
+    command = [sys.executable, "-m", "sitl_mock", "--vehicles", "1", "--port-base", "0", "--truth", place]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+    assert "--truth" in run.stderr

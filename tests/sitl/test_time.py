@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
-from sitl_mock import Simulator, SimulatorOptions, grid
+from sitl_mock import Simulator, SimulatorOptions, grid, parse_impairment
 from sitl_mock.autopilot.profile import Manners
 from sitl_mock.host.clock import SimulatedClock
 from sitl_mock.host.server import TIME_COMMAND, TimeAction
@@ -59,7 +59,7 @@ def test_only_a_paused_simulator_can_be_stepped() -> None:
     with pytest.raises(RuntimeError, match="paused"):
         here.simulator.step(1.0)
     here.close()
-    with pytest.raises(RuntimeError, match="not started"):
+    with pytest.raises(RuntimeError, match="was not started"):
         Simulator(SimulatorOptions()).pause()
 
 
@@ -86,6 +86,24 @@ def test_lockstep_over_the_port() -> None:
     assert acknowledged(here, TimeAction.PAUSE).result == 0
     assert here.simulator.now_s == pytest.approx(3.51, abs=0.02)
     here.close()
+
+
+def test_lockstep_works_whatever_the_links_are_like() -> None:
+    """Time itself hangs on these commands: their acknowledgements are neither late nor lost."""
+    impairment = parse_impairment({"loss": 1.0, "corrupt": 1.0, "delay_s": 2.0})
+    here = world(lockstep=True, impairments=(impairment,))
+    assert [acknowledged(here, TimeAction.STEP, 0.5).result_param2 for _ in range(3)] == [500, 1000, 1500]
+    here.close()
+
+
+def test_steps_that_never_end_and_steps_of_what_has_ended_are_refused() -> None:
+    here = world(lockstep=True)
+    for seconds in (float("inf"), float("nan"), -1.0):
+        with pytest.raises(ValueError, match="a step takes from 0"):
+            here.simulator.step(seconds)
+    here.close()
+    with pytest.raises(RuntimeError, match="is closed"):
+        here.simulator.resume()
 
 
 @pytest.mark.parametrize("parameters", [(3.0, 0.0), (2.0, -1.0), (2.0, float("nan")), (2.0, 1e9), (float("nan"), 0.0)])
