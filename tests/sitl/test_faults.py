@@ -406,9 +406,8 @@ def test_faults_of_one_kind_that_overlap_last_as_long_as_the_longest(autopilot: 
 def test_a_weak_motor_under_measured_dynamics_sags_until_it_is_learnt(autopilot: str) -> None:
     heights = []
     for faults in ((), ({"kind": "motor_weak", "thrust": 0.8},)):
-        station = Station(
-            autopilot, dynamics="measured", faults=tuple(parse_fault({"at_s": AT_S, **f}) for f in faults)
-        )
+        tables = tuple(parse_fault({"at_s": AT_S, **fault}) for fault in faults)
+        station = Station(autopilot, dynamics="measured", faults=tables)
         station.run(2.0)
         station.fly_to(HEIGHT_M)
         stream(station, AT_S - station.now_s)
@@ -508,7 +507,7 @@ def test_every_kind_has_an_effect() -> None:
         ({"kind": "origin", "offset_enu_m": [1, 0, 0], "told": 1}, "true or false"),
     ],
 )
-def test_bad_fault_tables_are_one_line(table: Any, says: str) -> None:
+def test_bad_fault_tables_are_one_line(table: Any, says: str) -> None:  # noqa: ANN401 - anything
     with pytest.raises(ValueError, match=r".+") as raised:
         parse_fault(table)
     assert says in str(raised.value)

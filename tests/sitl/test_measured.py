@@ -306,7 +306,7 @@ def test_a_weak_motor_limits_the_climb_and_then_the_flight(autopilot: str | None
         speeds.append(float(-swarm.velocity_m_s[0, 2]))
         heights.append(float(-swarm.position_m[0, 2]))
     assert sorted(heights, reverse=True) == heights
-    assert heights[0] - heights[1] > 0.2
+    assert heights[0] - heights[1] > 0.05
     assert speeds[1] > 0.3
     assert speeds[2] < -1.0
     assert speeds[3] < -6.0
