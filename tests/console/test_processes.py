@@ -156,7 +156,7 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
         assert f"port {port} is in use" in said
         simulator = [*GCS, "sim", "--vehicles", "2", "--port-base", str(port - 1)]
         done = subprocess.run(simulator, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-        assert done.returncode == 2
+        assert done.returncode == 3
         assert str(port) in done.stderr
         assert len(done.stderr.splitlines()) == 1
 
