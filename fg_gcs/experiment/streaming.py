@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import socket
 import time
 from collections.abc import Mapping, Sequence
@@ -25,10 +26,10 @@ from fg_gcs.flight.motions import SwarmSetpoint
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint, Kind
-from fg_gcs.link.router import Router
+from fg_gcs.link.router import Router, Routes
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.bare import boot_frames
-from fg_gcs.wire.setpoint import pack_setpoints
+from fg_gcs.wire.setpoint import SetpointRound
 
 FLUSH_S: Final = 0.2  # as a flight does it
 MOST_IDS: Final = 250  # of a network
@@ -69,15 +70,10 @@ class Circles:
 
     def at(self, now_s: float) -> SwarmSetpoint:
         """Return a point on each circle, of 1 m at 1 rad/s."""
-        along = np.array([np.cos(now_s), np.sin(now_s), 0.0])
-        across = np.array([-np.sin(now_s), np.cos(now_s), 0.0])
-        shape = self._places.shape
-        return SwarmSetpoint(
-            self._places + along,
-            np.broadcast_to(across, shape),
-            np.broadcast_to(-along, shape),
-            np.full(len(self._places), now_s % np.pi),
-        )
+        along = np.array((math.cos(now_s), math.sin(now_s), 0.0))
+        velocity, acceleration = np.empty_like(self._places), np.empty_like(self._places)
+        velocity[:], acceleration[:] = (-along[1], along[0], 0.0), -along
+        return SwarmSetpoint(self._places + along, velocity, acceleration, np.full(len(velocity), now_s % math.pi))
 
 
 class OwnStation:
@@ -94,6 +90,7 @@ class OwnStation:
         self.fleet: Fleet
         self.router: Router
         self._link_recorder = LinkRecorder(recorder)
+        self._round: tuple[Routes, SetpointRound] | None = None
 
     @classmethod
     async def open(cls, ports: Mapping[str, int], folder: Path) -> OwnStation:
@@ -120,7 +117,9 @@ class OwnStation:
     async def send(self, numbers: Numbers) -> None:
         """Send each vehicle its setpoint."""
         routes = self.router.routes(tuple(self.fleet.row_of))
-        self.router.send_all(routes, pack_setpoints(numbers, self.fleet.system_ids, routes.senders))
+        if self._round is None or routes is not self._round[0]:
+            self._round = routes, SetpointRound(self.fleet.system_ids, routes.senders)
+        self.router.send_all(routes, self._round[1].pack(numbers))
 
     async def flush(self) -> None:
         """Write the record down, for ever: run it as a task."""

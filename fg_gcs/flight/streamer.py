@@ -12,14 +12,17 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import swap_ned_enu
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.motions import Motion, SwarmSetpoint
 from fg_gcs.flight.yaw_limiter import YawRateLimiter
 from fg_gcs.link.clock import ticks
+from fg_gcs.link.router import Routes
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import vehicles_named
-from fg_gcs.wire.setpoint import LARGEST, NUMBERS, pack_setpoints, sendable
+from fg_gcs.wire.framing import Frames
+from fg_gcs.wire.setpoint import LARGEST, NUMBERS, SetpointRound, all_sendable, sendable
 
 REMEMBERED = 100  # rounds of setpoints: a second or two of them, more than is ever asked for
 
@@ -46,6 +49,8 @@ class Streamer:
         self.period_s = 1.0 / rate_hz
         self._yaw_limiter: YawRateLimiter | None = None  # of the present motion, if it asks for one
         self._engaged = np.zeros(len(fleet.vehicles), dtype=bool)
+        self._rows: tuple[Sequence[int], NDArray[np.int_]] = ((), np.empty(0, dtype=int))  # of the present motion
+        self._round: tuple[Routes, SetpointRound] | None = None  # while the ways to the vehicles are the same
         self._told: set[int] = set()  # rows of vehicles whose refused setpoints people know of
         self._sent = asyncio.Event()
         self._due_s = -np.inf
@@ -105,21 +110,37 @@ class Streamer:
                     self.after_round(now_s)
 
     def _send(self, motion: Motion, now_s: float) -> None:
-        fleet, rows = self._fleet, np.asarray(motion.rows)
+        fleet, rows = self._fleet, self._rows_of(motion)
         wanted = self._turned(motion, motion.at(now_s), now_s)
         numbers = np.empty((len(rows), NUMBERS))
-        enu = np.stack((fleet.from_origins(rows, wanted.position_m), wanted.velocity_m_s, wanted.acceleration_m_s2), 1)
+        enu = np.empty((len(rows), 3, 3))
+        enu[:, 0] = fleet.from_origins(rows, wanted.position_m)
+        enu[:, 1], enu[:, 2] = wanted.velocity_m_s, wanted.acceleration_m_s2
         numbers[:, 0:9] = swap_ned_enu(enu).reshape(-1, 9)
         numbers[:, 9] = wanted.yaw_rad
-        engaged, safe = self._engaged[rows], sendable(numbers)
-        if not safe.all():
-            self._refuse(rows[engaged & ~safe].tolist(), now_s)
-        chosen = np.flatnonzero(engaged & safe)
-        sent = rows[chosen]
-        routes = fleet.router.routes(fleet.addresses_of(sent))
-        fleet.router.send_all(routes, pack_setpoints(numbers[chosen], fleet.system_ids[sent], routes.senders))
+        engaged = self._engaged[rows]
+        if not (engaged.all() and all_sendable(numbers)):
+            safe = sendable(numbers)
+            if (engaged & ~safe).any():
+                self._refuse(rows[engaged & ~safe].tolist(), now_s)
+            chosen = np.flatnonzero(engaged & safe)
+            rows, numbers, wanted = rows[chosen], numbers[chosen], wanted.of(chosen)
+        fleet.router.send_all(*self._packed(rows, numbers))
         self._rounds_s.append(asyncio.get_running_loop().time())
-        self._record(sent, wanted.of(chosen), now_s)
+        self._record(rows, wanted, now_s)
+
+    def _rows_of(self, motion: Motion) -> NDArray[np.int_]:
+        """Return the fleet's rows that a motion moves, as an array that is made once."""
+        if motion.rows is not self._rows[0]:
+            self._rows = motion.rows, np.asarray(motion.rows)
+        return self._rows[1]
+
+    def _packed(self, rows: NDArray[np.int_], numbers: Array) -> tuple[Routes, Frames]:
+        """Return the ways to the vehicles at some rows, and their frames."""
+        routes = self._fleet.router.routes(self._fleet.addresses_of(rows))
+        if self._round is None or routes is not self._round[0]:
+            self._round = routes, SetpointRound(self._fleet.system_ids[rows], routes.senders)
+        return routes, self._round[1].pack(numbers)
 
     def _record(self, sent: NDArray[np.int_], wanted: SwarmSetpoint, now_s: float) -> None:
         """Write down what left at the vehicles of some rows."""

@@ -5,15 +5,17 @@ import errno
 import re
 import socket
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, cast
 
 from fg_gcs.errors import LinkError
+from fg_gcs.link.bulk import Bulk, Send, bulk_send_of
 from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.wire.address import MAIN
+from fg_gcs.wire.framing import Frames
 
 Address = tuple[str, int]
 Datagram = tuple[bytes, Address]  # what to send, and where to
@@ -112,6 +114,12 @@ def parse_networks(texts: Iterable[str]) -> dict[str, tuple[Endpoint, ...]]:
     return networks
 
 
+def in_rows(frames: Frames) -> list[bytes]:
+    """Return frames that stand in an array, each by itself."""
+    rows: list[bytes] = frames.view(f"V{frames.shape[1]}").ravel().tolist()
+    return rows
+
+
 OnData = Callable[["Wire", Address, bytes], None]
 OnChange = Callable[["Wire", Change], None]
 
@@ -141,6 +149,10 @@ class Wire(ABC):
     def send_all(self, datagrams: Iterable[Datagram]) -> None:
         """Send whole frames, to the address of each; what the way out does not take is dropped."""
 
+    def round_to(self, addresses: Sequence[Address]) -> Callable[[Frames], None]:
+        """Return what sends a round of frames, the one in row n to the n-th of these addresses, as `send_all` does."""
+        return lambda frames: self.send_all(zip(in_rows(frames), addresses, strict=True))
+
     def shortages(self, vehicles: int) -> list[str]:
         """Return what is too small for so many vehicles, a line for people each."""
         return []
@@ -160,11 +172,13 @@ class UdpWire(Wire):
         endpoint: What it was opened for.
         on_data: Gets the wire, the sender's address and the bytes.
         own: Open, and not blocking; the wire closes it.
+        bulk_send: The system's call for many datagrams; None: it has none.
     """
 
-    def __init__(self, endpoint: Endpoint, on_data: OnData, own: socket.socket) -> None:
+    def __init__(self, endpoint: Endpoint, on_data: OnData, own: socket.socket, bulk_send: Send | None) -> None:
         super().__init__(endpoint, on_data)
         self._socket = own
+        self._bulk_send = bulk_send if own.family == socket.AF_INET else None
         self._loop = asyncio.get_running_loop()
         if endpoint.kind is Kind.UDP_OUT:
             self.remote = own.getpeername()
@@ -179,10 +193,20 @@ class UdpWire(Wire):
                     send(data)
                 else:
                     sendto(data, address)
-            except BlockingIOError:
-                self.dropped += 1
             except OSError as error:  # such as a partner that is not there yet
                 self._failed(error)
+
+    def round_to(self, addresses: Sequence[Address]) -> Callable[[Frames], None]:
+        """Return what sends a round of frames to these addresses: in one call, if the system has it."""
+        if self._bulk_send is None:
+            return super().round_to(addresses)
+        bulk = Bulk(self._bulk_send, None if self.remote is not None else addresses, len(addresses))
+
+        def send(frames: Frames) -> None:
+            for error in bulk.send(self._socket.fileno(), frames):
+                self._failed(OSError(error, ""))
+
+        return send
 
     def shortages(self, vehicles: int) -> list[str]:
         """Return which buffers are smaller than so many vehicles need, and the setting that allows larger ones."""
@@ -220,7 +244,7 @@ class UdpWire(Wire):
             self._failed(error)
 
     def _failed(self, error: OSError) -> None:
-        if error.errno == errno.ENOBUFS:
+        if error.errno in (errno.EAGAIN, errno.ENOBUFS):
             self.dropped += 1
         else:
             self.errors += 1
@@ -392,7 +416,7 @@ async def open_wire(endpoint: Endpoint, on_data: OnData, on_change: OnChange | N
             await wire.open()
             return wire
         if not isinstance(loop, VirtualTimeLoop):
-            return UdpWire(endpoint, on_data, await _udp_socket(endpoint))
+            return UdpWire(endpoint, on_data, await _udp_socket(endpoint), bulk_send_of())
         address = (endpoint.host, endpoint.port)
         local, remote = (address, None) if endpoint.kind is Kind.UDP_IN else (None, address)
         made = await loop.create_datagram_endpoint(

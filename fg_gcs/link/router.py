@@ -2,24 +2,30 @@
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
+from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, in_rows, open_wire
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import profile_of
 from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Frame, Message, is_known
-from fg_gcs.wire.framing import Frames, Sender
+from fg_gcs.wire.framing import Frames, Sender, laid_out
 from fg_gcs.wire.messages import HEARTBEAT
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
 MOST_PEERS: Final = 2048  # addresses kept, twice a thousand vehicles; a flood of made-up senders fills no memory
 _AUTOPILOT: Final = 1  # component id
+_MOST_AT_ONCE: Final = 50  # heartbeats sent, or vehicles looked at, before others have their turn: half a millisecond
+
+_Item = TypeVar("_Item")
 
 
 class Direction(Enum):
@@ -84,21 +90,25 @@ class Routes:
 
     Attributes:
         addresses: Of the vehicles.
-        senders: What numbers the frames to each of them; for `fg_gcs.wire.setpoint.pack_setpoints`.
-        by_wire: For each wire the vehicles' places among the addresses, and where their frames go.
+        senders: What numbers the frames to each of them; for `fg_gcs.wire.setpoint.SetpointRound`.
+        rounds: For each wire the vehicles' places among the addresses (None: all of them), and what sends to them.
     """
 
     addresses: tuple[VehicleAddress, ...]
     senders: list[Sender]
-    by_wire: Mapping[Wire, Sequence[tuple[int, Address]]]
+    rounds: Sequence[tuple[NDArray[np.int_] | None, Callable[[Frames], None]]]
 
     @classmethod
     def of(cls, addresses: tuple[VehicleAddress, ...], peers: Sequence[Peer]) -> Self:
         """Return the ways to vehicles that are heard from these peers."""
-        by_wire: dict[Wire, list[tuple[int, Address]]] = {}
+        by_wire: dict[Wire, list[int]] = {}
         for place, peer in enumerate(peers):
-            by_wire.setdefault(peer.wire, []).append((place, peer.address))
-        return cls(addresses, [peer.sender for peer in peers], by_wire)
+            by_wire.setdefault(peer.wire, []).append(place)
+        rounds = [
+            (None if len(by_wire) == 1 else np.array(places), wire.round_to([peers[place].address for place in places]))
+            for wire, places in by_wire.items()
+        ]
+        return cls(addresses, [peer.sender for peer in peers], rounds)
 
 
 class Router:
@@ -182,13 +192,11 @@ class Router:
             routes: The ways to the vehicles, see `routes`.
             frames: Packed by the routes' senders, shape (V, size).
         """
-        size, data = frames.shape[1], frames.tobytes()
-        rows = [data[start : start + size] for start in range(0, len(data), size)]
-        for wire, targets in routes.by_wire.items():
-            wire.send_all([(rows[place], address) for place, address in targets])
-        self._frames_out += len(rows)
-        if self._tap is not None and rows:
-            self._tap(Direction.OUT, rows, self._time())
+        for places, send in routes.rounds:
+            send(frames if places is None else frames[places])
+        self._frames_out += len(frames)
+        if self._tap is not None and len(frames):
+            self._tap(Direction.OUT, in_rows(frames), self._time())
 
     def send_message(self, address: VehicleAddress, message: Message) -> None:
         """Pack a message and send it to one vehicle."""
@@ -196,25 +204,28 @@ class Router:
         if peer is None:
             self._unroutable += 1
         else:
-            self._send(peer, message)
-
-    def heartbeat(self) -> None:
-        """Send our heartbeat once to every address that a vehicle speaks from, and to whom we are to call first."""
-        message = commands.heartbeat()
-        called = [peer for peer in self._peers.values() if peer.wire.remote is not None]
-        for peer in dict.fromkeys([*self._routes.values(), *called]):
-            self._send(peer, message)
+            self._send(peer, peer.sender.pack(message))
 
     async def keep_alive(self, period_s: float = 1.0) -> None:
         """Send heartbeats and notice silent vehicles, for ever: run it as a task.
 
+        Heartbeats go to every address that a vehicle speaks from, and to whom we are to call first. A thousand take ten
+        milliseconds: after every few of them, whoever else is due has a turn.
+
         Args:
             period_s: Autopilots want one heartbeat a second.
         """
+        heartbeat = laid_out(commands.heartbeat())
         async for _ in ticks(self._time(), period_s):
-            self.heartbeat()
-            for vehicle in self.vehicles.values():
-                vehicle.watch(self._time())
+            called = [peer for peer in self._peers.values() if peer.wire.remote is not None]
+            for some in _batches(list(dict.fromkeys([*self._routes.values(), *called]))):
+                for peer in some:
+                    self._send(peer, peer.sender.finish(*heartbeat))
+                await asyncio.sleep(0.0)
+            for vehicles in _batches(list(self.vehicles.values())):
+                for vehicle in vehicles:
+                    vehicle.watch(self._time())
+                await asyncio.sleep(0.0)
 
     def tell_shortages(self) -> None:
         """Tell people of buffers that are too small for the vehicles heard so far; once, when all of them are."""
@@ -227,8 +238,7 @@ class Router:
         for wire in self._wires:
             wire.close()
 
-    def _send(self, peer: Peer, message: Message) -> None:
-        data = peer.sender.pack(message)
+    def _send(self, peer: Peer, data: bytes) -> None:
         peer.wire.send(data, peer.address)
         self._frames_out += 1
         if self._tap is not None:
@@ -294,3 +304,9 @@ class Router:
                 f"two vehicles have the system id {vehicle.address}: the one at {host}:{port} is ignored"
             )
         return False
+
+
+def _batches(items: Sequence[_Item]) -> Iterator[Sequence[_Item]]:
+    """Yield items in their order, so many at once that nothing else waits long."""
+    for start in range(0, len(items), _MOST_AT_ONCE):
+        yield items[start : start + _MOST_AT_ONCE]

@@ -1,12 +1,12 @@
 """Where outgoing MAVLink 2 frames are finished, all of them: sequence number, flags, addresses and checksum.
 
-Whoever has a payload gives it to `Sender.finish`, and whoever has those of a whole swarm to `finish_all`, so that what
+Whoever has a payload gives it to `Sender.finish`, and whoever has those of a whole swarm to a `Round`, so that what
 holds for every frame, such as a signature, has one home.
 """
 
 import struct
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from fastcrc import crc16
@@ -26,6 +26,7 @@ _NO_FLAGS: Final = 0
 _pack_header: Final = struct.Struct("<BBBBBB3s").pack  # bound once: one attribute lookup less for every frame
 _pack_checksum: Final = struct.Struct("<H").pack
 _checksum: Final = crc16.mcrf4xx
+_packer: Final[Any] = dialect.MAVLink(None)
 
 
 def id_bytes(message_id: int) -> bytes:
@@ -45,7 +46,6 @@ class Sender:
         self.system_id = system_id
         self.component_id = component_id
         self._sequence = 0  # 0 to 255, around and around: peers count losses by its gaps
-        self._packer: Any = dialect.MAVLink(None)
 
     def next_sequence(self) -> int:
         """Return the sequence number of the frame that leaves next, and count it."""
@@ -73,29 +73,57 @@ class Sender:
         Raises:
             struct.error: A field cannot hold its number; no sequence number is used.
         """
-        message.pack(self._packer)  # pymavlink lays out the payload only when it packs a whole frame of its own
-        return self.finish(id_bytes(message.get_msgId()), bytes([message.crc_extra]), bytes(message.get_payload()))
+        return self.finish(*laid_out(message))
 
 
-def finish_all(frames: Frames, senders: Sequence[Sender], message_id: bytes, crc_extra: bytes) -> None:
-    """Finish frames of one kind in place, each for a link of its own: what `Sender.finish` does, in one pass.
+class LaidOut(NamedTuple):
+    """What of a message is the same for every link: what `Sender.finish` takes."""
+
+    message_id: bytes
+    crc_extra: bytes
+    payload: bytes
+
+
+def laid_out(message: Message) -> LaidOut:
+    """Return the payload of a message.
+
+    Raises:
+        struct.error: A field cannot hold its number.
+    """
+    message.pack(_packer)  # pymavlink lays out the payload only when it packs a whole frame of its own
+    return LaidOut(id_bytes(message.get_msgId()), bytes([message.crc_extra]), bytes(message.get_payload()))
+
+
+class Round:
+    """Frames of one kind and size, each for a link of its own, that leave together again and again.
 
     Args:
-        frames: Payloads are in their places, headers and checksums come into theirs; shape (V, size). No payload may
-            end with a zero.
+        payloads: What is the same in every round stands in its place already, the rest is zero; shape (V, size). No
+            payload may end with a zero.
         senders: Of the frames' links, in their order; a link that has several frames numbers them in that order.
         message_id: See `id_bytes`.
         crc_extra: The dialect's extra byte of this kind of message.
     """
-    size = frames.shape[1]
-    frames[:, 0] = _MAGIC[0]
-    frames[:, 1] = size - HEADER_BYTES - CHECKSUM_BYTES
-    frames[:, 2:4] = _NO_FLAGS
-    frames[:, 4] = [sender.next_sequence() for sender in senders]
-    frames[:, 5] = [sender.system_id for sender in senders]
-    frames[:, 6] = [sender.component_id for sender in senders]
-    frames[:, 7:10] = np.frombuffer(message_id, np.uint8)
-    frames[:, -2] = crc_extra[0]  # right behind the payload, where the checksum takes it in and then its place
-    data, covered = frames.tobytes(), size - CHECKSUM_BYTES
-    checksums = [_checksum(data[start : start + covered]) for start in range(1, len(data), size)]
-    frames[:, -2:] = np.array(checksums, "<u2").view(np.uint8).reshape(-1, CHECKSUM_BYTES)
+
+    def __init__(self, payloads: Frames, senders: Sequence[Sender], message_id: bytes, crc_extra: bytes) -> None:
+        self._numbers = [sender.next_sequence for sender in senders]
+        self._frames = made = payloads.copy()
+        made[:, 0] = _MAGIC[0]
+        made[:, 1] = made.shape[1] - HEADER_BYTES - CHECKSUM_BYTES
+        made[:, 2:4] = _NO_FLAGS
+        made[:, 5] = [sender.system_id for sender in senders]
+        made[:, 6] = [sender.component_id for sender in senders]
+        made[:, 7:10] = np.frombuffer(message_id, np.uint8)
+        made[:, -2] = crc_extra[0]  # right behind the payload, where the checksum takes it in and then its place
+
+    def frames(self) -> Frames:
+        """Return new frames, for what is another in this round to be filled in and for `finish`."""
+        return self._frames.copy()
+
+    def finish(self, frames: Frames) -> None:
+        """Finish frames in place: what `Sender.finish` does, in one pass."""
+        frames[:, 4] = [number() for number in self._numbers]
+        data, size = frames.tobytes(), frames.shape[1]
+        covered = size - CHECKSUM_BYTES
+        checksums = [_checksum(data[start : start + covered]) for start in range(1, len(data), size)]
+        frames[:, -2:] = np.array(checksums, "<u2").view(np.uint8).reshape(-1, CHECKSUM_BYTES)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.wire.framing import CHECKSUM_BYTES, HEADER_BYTES, Frames, Sender, finish_all, id_bytes
+from fg_gcs.wire.framing import CHECKSUM_BYTES, HEADER_BYTES, Frames, Round, Sender, id_bytes
 
 NUMBERS: Final = 10  # of one setpoint: position [m], velocity [m/s], acceleration [m/s^2], each NED, and yaw [rad]
 LARGEST: Final = 1e6  # m, m/s, m/s^2, rad: ArduCopter flies to 1e6 m and dies of 1e9 m; no flight of ours comes near
@@ -51,25 +51,38 @@ def sendable(numbers: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(within.all(axis=1))
 
 
-def pack_setpoints(
-    numbers: NDArray[np.float64], system_ids: Sequence[int] | NDArray[np.int_], senders: Sequence[Sender]
-) -> Frames:
-    """Return the frames that stream setpoints to the autopilots of V vehicles.
+def all_sendable(numbers: NDArray[np.float64]) -> bool:
+    """Tell whether every setpoint of a round is `sendable`, in a tenth of the time."""
+    return not len(numbers) or bool(np.abs(numbers).max() <= LARGEST)  # one NaN makes the largest NaN
+
+
+class SetpointRound:
+    """Packs the setpoints of V vehicles, round by round.
 
     Args:
-        numbers: Those of each setpoint, in the vehicle's own local frame, all of them `sendable`; shape (V, `NUMBERS`).
         system_ids: The vehicles.
         senders: Of their links, give our address and the sequence numbers.
-
-    Returns:
-        Whole frames, shape (V, size).
     """
-    made = np.zeros(len(numbers), _LAYOUT)  # the time stamp stays 0: both autopilots ignore it
-    made["numbers"] = numbers
-    made["type_mask"] = TYPE_MASK
-    made["target_system"] = system_ids
-    made["target_component"] = _AUTOPILOT
-    made["coordinate_frame"] = _LOCAL_NED
-    frames: Frames = made.view(np.uint8).reshape(len(made), _LAYOUT.itemsize)
-    finish_all(frames, senders, _ID, _CRC_EXTRA)
-    return frames
+
+    def __init__(self, system_ids: Sequence[int] | NDArray[np.int_], senders: Sequence[Sender]) -> None:
+        made = np.zeros(len(senders), _LAYOUT)  # the time stamp stays 0: both autopilots ignore it
+        made["type_mask"] = TYPE_MASK
+        made["target_system"] = system_ids
+        made["target_component"] = _AUTOPILOT
+        made["coordinate_frame"] = _LOCAL_NED
+        self._round = Round(made.view(np.uint8).reshape(len(made), _LAYOUT.itemsize), senders, _ID, _CRC_EXTRA)
+
+    def pack(self, numbers: NDArray[np.float64]) -> Frames:
+        """Return the frames that stream setpoints to the vehicles' autopilots.
+
+        Args:
+            numbers: Those of each setpoint, in the vehicle's own local frame, all of them `sendable`; shape
+                (V, `NUMBERS`).
+
+        Returns:
+            Whole frames, shape (V, size).
+        """
+        frames = self._round.frames()
+        frames.view(_LAYOUT)["numbers"] = numbers[:, None]
+        self._round.finish(frames)
+        return frames

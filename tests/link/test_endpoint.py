@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fg_gcs.errors import LinkError
+from fg_gcs.link.bulk import bulk_send_of
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Address, Endpoint, Kind, UdpWire, Wire, open_wire, parse_endpoint, parse_networks
 
@@ -180,7 +181,7 @@ def test_a_full_way_out_drops_instead_of_growing() -> None:
         # Datagrams of another kind: unlike those of UDP they are kept until they are read, so that the way can be full
         ours, deaf = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         ours.setblocking(False)
-        wire = UdpWire(Endpoint(Kind.UDP_OUT, "127.0.0.1", 9), Heard(), ours)
+        wire = UdpWire(Endpoint(Kind.UDP_OUT, "127.0.0.1", 9), Heard(), ours, bulk_send_of())
         sent = 0
         while not wire.dropped and sent < 10_000:
             wire.send(bytes(1000), ("127.0.0.1", 9))
@@ -200,7 +201,7 @@ def test_buffers_that_are_too_small_for_a_swarm_are_told_with_the_setting() -> N
     async def main() -> None:
         own = socket.socket(type=socket.SOCK_DGRAM)
         own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 100_000)
-        wire = UdpWire(Endpoint(Kind.UDP_IN, "127.0.0.1", 9), Heard(), own)
+        wire = UdpWire(Endpoint(Kind.UDP_IN, "127.0.0.1", 9), Heard(), own, bulk_send_of())
         given = own.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         (line,) = wire.shortages(60)
         assert line == (

@@ -17,7 +17,7 @@ from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec, Message
 from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
-from fg_gcs.wire.setpoint import NUMBERS, pack_setpoints
+from fg_gcs.wire.setpoint import NUMBERS, SetpointRound
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
 PORT = 14550
@@ -86,7 +86,7 @@ def test_each_message_leaves_once_to_its_own_vehicle() -> None:
             for _ in range(system_id):
                 numbers = np.full((1, NUMBERS), float(system_id))
                 routes = router.routes((at(system_id),))
-                router.send_all(routes, pack_setpoints(numbers, [system_id], routes.senders))
+                router.send_all(routes, SetpointRound([system_id], routes.senders).pack(numbers))
         router.send_message(at(2), commands.heartbeat())
         await settle()
         for system_id, fake in zip((1, 2, 3), fakes, strict=True):
@@ -153,7 +153,9 @@ def test_profile_phase_and_messages_are_handed_on() -> None:
         unknown = bytes([0xFD, 1, 0, 0, 0, 6, 1, 154, 1, 0, 7, 0, 0])
         plane.transport.sendto(unknown)
         await settle()
-        router.heartbeat()
+        beating = asyncio.create_task(router.keep_alive())
+        await settle()
+        beating.cancel()
         assert [vehicle.profile for vehicle in router.vehicles.values()] == [ARDUPILOT, PX4]
         assert router.vehicles[at(5)].mode_name == "GUIDED"
         assert seen == [(5, "HEARTBEAT", 0.001), (6, "HEARTBEAT", 0.001)]
@@ -184,9 +186,31 @@ def test_heartbeats_go_once_to_each_vehicle_and_wake_those_we_call() -> None:
         sleeping.beat()
         await settle()
         assert sorted(router.vehicles) == [at(1), at(2), at(7)]
-        router.heartbeat()
+        beating = asyncio.create_task(router.keep_alive())
         await settle()
-        assert len(sleeping.heard) == 4
+        beating.cancel()
+        assert len(sleeping.heard) == 4  # one, though it speaks now and is called as well
+        router.close()
+
+    virtually(main)
+
+
+def test_many_heartbeats_hold_nobody_up() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        for system_id in range(1, 201):
+            (await Fake.start(system_id)).beat()
+        await settle()
+        loop, between = asyncio.get_running_loop(), list[int]()
+
+        def due() -> None:
+            between.append(router.counters.frames_out)
+
+        beating = asyncio.create_task(router.keep_alive())
+        loop.call_at(loop.time(), due)
+        await settle()
+        beating.cancel()
+        assert between[0] < 100 < router.counters.frames_out == 200
         router.close()
 
     virtually(main)
@@ -243,7 +267,7 @@ def test_a_vehicle_that_restarts_on_another_port_is_found_again() -> None:
         await settle()
         router.send_message(at(1), commands.heartbeat())
         assert router.routes((at(1),)) is not routes
-        router.send_all(router.routes((at(1),)), pack_setpoints(np.ones((1, NUMBERS)), [1], [after.sender]))
+        router.send_all(router.routes((at(1),)), SetpointRound([1], [after.sender]).pack(np.ones((1, NUMBERS))))
         await settle()
         assert (len(before.heard), len(after.heard)) == (0, 2)
         router.close()

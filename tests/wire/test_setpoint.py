@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Codec
 from fg_gcs.wire.framing import Sender
-from fg_gcs.wire.setpoint import LARGEST, NUMBERS, TYPE_MASK, pack_setpoints, sendable
+from fg_gcs.wire.setpoint import LARGEST, NUMBERS, TYPE_MASK, SetpointRound, all_sendable, sendable
 
 Numbers = NDArray[np.float64]
 
@@ -37,22 +37,23 @@ def test_bytes_equal_pymavlinks(numbers: Numbers, draw: st.DataObject) -> None:
     for sender, sent in zip(senders, before, strict=True):
         for _ in range(sent):
             sender.next_sequence()
-    frames = pack_setpoints(numbers, system_ids, senders)
+    frames = SetpointRound(system_ids, senders).pack(numbers)
     for frame, *wanted in zip(frames, numbers.tolist(), system_ids, before, strict=True):
         assert frame.tobytes() == theirs(*wanted)
 
 
 def test_vehicles_behind_one_link_share_its_sequence_numbers() -> None:
     shared, own = Sender(), Sender()
+    setpoints = SetpointRound([1, 2, 3, 4], [shared, shared, own, shared])
     for start in range(0, 900, 3):
-        frames = pack_setpoints(np.ones((4, NUMBERS)), [1, 2, 3, 4], [shared, shared, own, shared])
+        frames = setpoints.pack(np.ones((4, NUMBERS)))
         assert frames[:, 4].tolist() == [start % 256, (start + 1) % 256, start // 3 % 256, (start + 2) % 256]
 
 
 @given(numbers=SWARMS)
 def test_the_codec_reads_back_what_was_packed(numbers: Numbers) -> None:
     codec, ids = Codec(), list(range(1, len(numbers) + 1))
-    heard = codec.receive(pack_setpoints(numbers, ids, [Sender()] * len(numbers)).tobytes())
+    heard = codec.receive(SetpointRound(ids, [Sender()] * len(numbers)).pack(numbers).tobytes())
     assert (len(heard), codec.bad_bytes) == (len(numbers), 0)
     for message, row, system_id in zip(heard, numbers, ids, strict=True):
         said = message.fields()
@@ -68,6 +69,9 @@ def test_an_unsafe_number_stops_its_own_setpoint_alone(bad: float, place: int) -
     numbers = np.ones((3, NUMBERS))
     numbers[1, place] = bad
     assert sendable(numbers).tolist() == [True, False, True]
+    assert not all_sendable(numbers)
+    assert all_sendable(numbers[[0, 2]])
+    assert all_sendable(numbers[:0])
 
 
 @given(numbers=SWARMS)

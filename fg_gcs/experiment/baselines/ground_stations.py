@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.errors import LinkError
 from fg_gcs.wire.framing import Sender
-from fg_gcs.wire.setpoint import TYPE_MASK, pack_setpoints
+from fg_gcs.wire.setpoint import TYPE_MASK, SetpointRound
 
 Numbers = NDArray[np.float64]  # (V, 10), see `fg_gcs.wire.setpoint`
 
@@ -49,7 +49,7 @@ class BareLoop:
 
     def __init__(self, system_ids: Sequence[int], ports: Sequence[int], numbers: Numbers) -> None:
         """Take vehicles and the ports of the loopback that they listen at."""
-        frames = pack_setpoints(numbers, system_ids, [Sender(BARE_LOOP) for _ in system_ids])
+        frames = SetpointRound(system_ids, [Sender(BARE_LOOP) for _ in system_ids]).pack(numbers)
         self._datagrams = [(frame.tobytes(), ("127.0.0.1", port)) for frame, port in zip(frames, ports, strict=True)]
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
