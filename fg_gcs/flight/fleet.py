@@ -32,6 +32,7 @@ class Fleet:
         states: where they are and how they move, in their own frames, as telemetry comes.
         networks: names of their networks as tables have them, shape (V,).
         system_ids: shape (V,).
+        origins_enu_m: of the vehicles' own frames in the mission's, shape (V, 3) once they are known [m; ENU].
     """
 
     def __init__(self, router: Router, vehicles: Sequence[Vehicle]) -> None:
@@ -47,7 +48,7 @@ class Fleet:
         self.networks = np.array(self._names)
         self.system_ids = np.array([v.address.system_id for v in self.vehicles])
         self.frames: tuple[LocalFrame, ...] = ()
-        self._origins_enu_m = np.empty((0, 3))
+        self.origins_enu_m = np.empty((0, 3))
 
     def learn_frames(self, origin: Geodetic | None, first_pad_enu_m: Array) -> None:
         """Join every vehicle's own frame to the mission's, while all stand on the ground.
@@ -73,7 +74,7 @@ class Fleet:
         for own_origin, ground in places:
             east, north, _ = enu_from_geodetic(own_origin, origin).tolist()
             self.frames += (LocalFrame((east, north, ground[2])),)
-        self._origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
+        self.origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
 
     def positions_enu_m(self, now_s: float | None = None) -> Array:
         """Return where the vehicles are, shape (V, 3) [m; ENU].
@@ -87,7 +88,7 @@ class Fleet:
         if now_s is not None:
             ages_s = np.clip(now_s - states.position_at_s, 0.0, MOST_CARRIED_S)
             places = places + states.velocity_ned_m_s * ages_s[:, None]
-        positions: Array = swap_ned_enu(places) + self._origins_enu_m
+        positions: Array = swap_ned_enu(places) + self.origins_enu_m
         return positions
 
     def position_enu_m(self, vehicle: Vehicle) -> tuple[float, float, float] | None:
@@ -123,11 +124,6 @@ class Fleet:
             addresses = tuple(self.vehicles[row].address for row in rows.tolist())
             self._addressed = rows, addresses
         return addresses
-
-    def from_origins(self, rows: NDArray[np.int_], position_enu_m: Array) -> Array:
-        """Return mission positions as seen from the vehicles' own origins, for those at ``rows``, (N, 3) [m; ENU]."""
-        seen: Array = position_enu_m - self._origins_enu_m[rows]
-        return seen
 
     async def ask(self, vehicles: Iterable[Vehicle], script: Callable[[Vehicle], Iterable[Request]]) -> None:
         """Work through each vehicle's requests, one after the other, all vehicles side by side.

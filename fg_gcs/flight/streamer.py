@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,29 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Routes
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import vehicles_named
-from fg_gcs.wire.framing import Frames
 from fg_gcs.wire.setpoint import LARGEST, NUMBERS, SetpointRound, all_sendable, sendable
 
 REMEMBERED = 100  # rounds of setpoints: a second or two of them, more than is ever asked for
+
+# The numbers of a setpoint in the mission's frame, ENU, as those of a vehicle's: which of them, and with which sign
+_ENU_TO_NED: Final = np.array([1, 0, 2, 4, 3, 5, 7, 6, 8, 9])
+_NED_SIGNS: Final = np.array([1.0, 1.0, -1.0] * 3 + [1.0])
+
+
+class _Moved(NamedTuple):
+    """The vehicles of a motion."""
+
+    given: Sequence[int]  # their rows as the motion has them
+    rows: NDArray[np.int_]
+    origins_ned_m: Array  # of their own frames, shape (V, 3)
+
+
+class _Going(NamedTuple):
+    """Where a round of setpoints goes."""
+
+    routes: Routes
+    setpoints: SetpointRound
+    table: NDArray[np.void]  # rows of the record with the vehicles' names in them
 
 
 class Streamer:
@@ -49,8 +69,8 @@ class Streamer:
         self.period_s = 1.0 / rate_hz
         self._yaw_limiter: YawRateLimiter | None = None  # of the present motion, if it asks for one
         self._engaged = np.zeros(len(fleet.vehicles), dtype=bool)
-        self._rows: tuple[Sequence[int], NDArray[np.int_]] = ((), np.empty(0, dtype=int))  # of the present motion
-        self._round: tuple[Routes, SetpointRound] | None = None  # while the ways to the vehicles are the same
+        self._moved: _Moved | None = None
+        self._going: _Going | None = None
         self._told: set[int] = set()  # rows of vehicles whose refused setpoints people know of
         self._sent = asyncio.Event()
         self._due_s = -np.inf
@@ -110,48 +130,49 @@ class Streamer:
                     self.after_round(now_s)
 
     def _send(self, motion: Motion, now_s: float) -> None:
-        fleet, rows = self._fleet, self._rows_of(motion)
+        moved = self._moved_by(motion)
         wanted = self._turned(motion, motion.at(now_s), now_s)
-        numbers = np.empty((len(rows), NUMBERS))
-        enu = np.empty((len(rows), 3, 3))
-        enu[:, 0] = fleet.from_origins(rows, wanted.position_m)
-        enu[:, 1], enu[:, 2] = wanted.velocity_m_s, wanted.acceleration_m_s2
-        numbers[:, 0:9] = swap_ned_enu(enu).reshape(-1, 9)
-        numbers[:, 9] = wanted.yaw_rad
-        engaged = self._engaged[rows]
+        enu = np.empty((len(moved.rows), NUMBERS))
+        enu[:, 0:3], enu[:, 3:6] = wanted.position_m, wanted.velocity_m_s
+        enu[:, 6:9], enu[:, 9] = wanted.acceleration_m_s2, wanted.yaw_rad
+        numbers = enu.take(_ENU_TO_NED, axis=1)
+        numbers *= _NED_SIGNS
+        numbers[:, 0:3] -= moved.origins_ned_m
+        rows, engaged = moved.rows, self._engaged[moved.rows]
         if not (engaged.all() and all_sendable(numbers)):
             safe = sendable(numbers)
             if (engaged & ~safe).any():
                 self._refuse(rows[engaged & ~safe].tolist(), now_s)
             chosen = np.flatnonzero(engaged & safe)
-            rows, numbers, wanted = rows[chosen], numbers[chosen], wanted.of(chosen)
-        fleet.router.send_all(*self._packed(rows, numbers))
+            rows, numbers, enu = rows[chosen], numbers[chosen], enu[chosen]
+        going = self._going_to(rows)
+        self._fleet.router.send_all(going.routes, going.setpoints.pack(numbers))
         self._rounds_s.append(asyncio.get_running_loop().time())
-        self._record(rows, wanted, now_s)
+        self._record(going.table.copy(), enu, now_s)
 
-    def _rows_of(self, motion: Motion) -> NDArray[np.int_]:
-        """Return the fleet's rows that a motion moves, as an array that is made once."""
-        if motion.rows is not self._rows[0]:
-            self._rows = motion.rows, np.asarray(motion.rows)
-        return self._rows[1]
+    def _moved_by(self, motion: Motion) -> _Moved:
+        """Return what of a motion's vehicles is the same in every round."""
+        if self._moved is None or motion.rows is not self._moved.given:
+            rows = np.asarray(motion.rows)
+            self._moved = _Moved(motion.rows, rows, swap_ned_enu(self._fleet.origins_enu_m[rows]))
+        return self._moved
 
-    def _packed(self, rows: NDArray[np.int_], numbers: Array) -> tuple[Routes, Frames]:
-        """Return the ways to the vehicles at some rows, and their frames."""
-        routes = self._fleet.router.routes(self._fleet.addresses_of(rows))
-        if self._round is None or routes is not self._round[0]:
-            self._round = routes, SetpointRound(self._fleet.system_ids[rows], routes.senders)
-        return routes, self._round[1].pack(numbers)
+    def _going_to(self, rows: NDArray[np.int_]) -> _Going:
+        """Return the ways to the vehicles at some rows, and what is the same in every round that goes there."""
+        fleet = self._fleet
+        routes = fleet.router.routes(fleet.addresses_of(rows))
+        if self._going is None or routes is not self._going.routes:
+            table = self._recorder.setpoints.rows(len(rows))
+            table["network"], table["system_id"] = fleet.networks[rows], fleet.system_ids[rows]
+            self._going = _Going(routes, SetpointRound(fleet.system_ids[rows], routes.senders), table)
+        return self._going
 
-    def _record(self, sent: NDArray[np.int_], wanted: SwarmSetpoint, now_s: float) -> None:
-        """Write down what left at the vehicles of some rows."""
-        recorder = self._recorder
-        table = recorder.setpoints.rows(len(sent))
-        table["time_s"] = recorder.since_start_s(now_s)
-        table["network"] = self._fleet.networks[sent]
-        table["system_id"] = self._fleet.system_ids[sent]
-        table["position_enu_m"], table["velocity_enu_m_s"] = wanted.position_m, wanted.velocity_m_s
-        table["acceleration_enu_m_s2"], table["yaw_rad"] = wanted.acceleration_m_s2, wanted.yaw_rad
-        recorder.setpoints.extend(table)
+    def _record(self, table: NDArray[np.void], enu: Array, now_s: float) -> None:
+        """Write down what left."""
+        table["time_s"] = self._recorder.since_start_s(now_s)
+        table["position_enu_m"], table["velocity_enu_m_s"] = enu[:, 0:3], enu[:, 3:6]
+        table["acceleration_enu_m_s2"], table["yaw_rad"] = enu[:, 6:9], enu[:, 9]
+        self._recorder.setpoints.extend(table)
 
     def _refuse(self, rows: Sequence[int], now_s: float) -> None:
         """Count setpoints that must not leave, and tell of each vehicle's first."""

@@ -73,6 +73,7 @@ class Bulk:
             self._addresses["host"] = np.frombuffer(hosts, np.uint8).reshape(-1, 4)
             self._headers["name"] = self._addresses.ctypes.data + np.arange(count) * _ADDRESS.itemsize
             self._headers["name_size"] = _ADDRESS.itemsize
+        self._size, self._offsets = 0, np.zeros(count, np.uint64)  # of the frames, one behind the other
         self._first = self._headers.ctypes.data
 
     def send(self, descriptor: int, frames: NDArray[np.uint8]) -> list[int]:
@@ -83,8 +84,9 @@ class Bulk:
             frames: One a row, as many as there are addresses; shape (count, size), contiguous.
         """
         count, size = frames.shape
-        self._pieces["base"] = frames.ctypes.data + np.arange(count) * size
-        self._pieces["size"] = size
+        if size != self._size:
+            self._size, self._pieces["size"], self._offsets = size, size, np.arange(count, dtype=np.uint64) * size
+        np.add(self._offsets, frames.__array_interface__["data"][0], out=self._pieces["base"])
         done, errors = 0, list[int]()
         while done < count:
             sent = self._send(descriptor, self._first + done * _HEADER.itemsize, count - done, 0)
