@@ -191,7 +191,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         ),
         "motor_dead": Kind({}, "a motor stops: the vehicle falls"),
         "battery_low": Kind(
-            {"remaining": Key(_share, 0.1, "what is left of the charge")},
+            {"remaining": Key(number(0.01, 1.0), 0.1, "what is left of the charge")},
             "the battery has suddenly less, and goes on from there",
             once=True,
         ),

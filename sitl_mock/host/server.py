@@ -40,7 +40,7 @@ Address = tuple[str, int]
 # param1 is a `TimeAction`, param2 of a step is how long it is [s]. Its COMMAND_ACK comes behind all that was said
 # meanwhile, and has the simulated time in `result_param2` [ms].
 TIME_COMMAND = 31010
-LONGEST_STEP_S = 3600.0
+LONGEST_STEP_S = 10.0  # other clients wait while it is computed
 
 
 class TimeAction(IntEnum):
@@ -101,6 +101,8 @@ class SimulatorOptions(FleetOptions):
             raise ValueError(f"the speed must be greater than 0: {self.speed:g}")
         if not self.remotes:
             raise ValueError("there must be at least one remote")
+        if self.lockstep and not self.system_ids:
+            raise ValueError("in lockstep there must be at least one vehicle: it takes the commands that let time go")
 
     @property
     def all_ids(self) -> tuple[int, ...]:

@@ -500,6 +500,7 @@ def test_every_kind_has_an_effect() -> None:
         ({"kind": "position_jump", "offset_enu_m": [1, 2]}, "three numbers"),
         ({"kind": "position_jump", "offset_enu_m": [1, 2, "x"]}, "a number"),
         ({"kind": "origin"}, "needs offset_enu_m or rate_enu_m_s"),
+        ({"kind": "battery_low", "remaining": 0.0}, "from 0.01 to 1"),
         ({"kind": "commands_refused", "command": "jump"}, "a MAV_CMD number"),
         ({"kind": "commands_refused", "result": "maybe"}, "one of 'accepted'"),
         ({"kind": "commands_refused", "text": "a\nb"}, "printable"),

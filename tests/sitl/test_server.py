@@ -301,6 +301,16 @@ def test_truth_is_readable() -> None:
     ("arguments", "words"),
     [
         (["--vehicles", "0"], "nothing to simulate"),
+        (
+            [
+                "--vehicles",
+                "0",
+                "--lockstep",
+                "--target",
+                '{"system_id": 9, "kind": "static", "position_enu_m": [0, 0, 9]}',
+            ],
+            "in lockstep there must be at least one vehicle",
+        ),
         (["--vehicles", "2", "--pads", "0,0"], "the number of pads (1) is not the number of vehicles (2)"),
         (["--system-ids", "1,1", "--vehicles", "2"], "system id 1 belongs to 2 vehicles"),
         (

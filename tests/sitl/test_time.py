@@ -106,7 +106,9 @@ def test_steps_that_never_end_and_steps_of_what_has_ended_are_refused() -> None:
         here.simulator.resume()
 
 
-@pytest.mark.parametrize("parameters", [(3.0, 0.0), (2.0, -1.0), (2.0, float("nan")), (2.0, 1e9), (float("nan"), 0.0)])
+@pytest.mark.parametrize(
+    "parameters", [(3.0, 0.0), (2.0, -1.0), (2.0, float("nan")), (2.0, 10.5), (2.0, 1e9), (float("nan"), 0.0)]
+)
 def test_commands_about_time_that_mean_nothing_are_denied(parameters: tuple[float, float]) -> None:
     here = world(lockstep=True)
     assert acknowledged(here, *parameters).result == 2
