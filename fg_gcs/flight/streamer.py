@@ -56,12 +56,14 @@ class Streamer:
         refused: setpoints that were not sent because of their numbers; those of the other vehicles were.
         after_round: called with the loop's time [s] after each round of setpoints; must not raise.
         period_s: between two rounds [s].
+        turned_s: the loop's time of the newest sign of life [s].
     """
 
     def __init__(self, fleet: Fleet, recorder: Recorder, rate_hz: float) -> None:
         """Stream at ``rate_hz`` [Hz] as soon as there is a motion and a vehicle is engaged."""
         self.motion: Motion | None = None
         self.late_ticks = 0
+        self.turned_s = -np.inf
         self.refused = 0
         self.after_round: Callable[[float], None] | None = None
         self._fleet = fleet
@@ -117,6 +119,7 @@ class Streamer:
         loop = asyncio.get_running_loop()
         start_s, last = loop.time(), -1
         async for k, late_s in ticks(start_s, self.period_s):
+            self.turned_s = loop.time()
             if self.motion is not None and self._engaged.any():
                 self.late_ticks += k - last - 1 if last >= 0 else 0
                 last = k

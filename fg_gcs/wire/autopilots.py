@@ -80,6 +80,8 @@ class AutopilotProfile:
         modes: Custom mode numbers by readable name.
         streaming_mode: Mode in which position targets are obeyed.
         land_mode: Mode that lands here.
+        hovering_modes: Modes that stay where they are.
+        stream_timeout: The parameter that says for how long a vehicle goes on without setpoints, and its default [s].
         take_off: How it leaves the ground.
         lands_by_command: NAV_LAND lands it; otherwise the mode does.
         encoding: How integer parameters travel.
@@ -93,6 +95,8 @@ class AutopilotProfile:
     modes: Mapping[str, int]
     streaming_mode: int
     land_mode: int
+    hovering_modes: frozenset[int]
+    stream_timeout: tuple[str, float]
     take_off: TakeOff
     lands_by_command: bool
     encoding: Encoding
@@ -179,6 +183,8 @@ PX4: Final = AutopilotProfile(
     modes=MappingProxyType(_PX4_MODES),
     streaming_mode=_PX4_MODES["OFFBOARD"],
     land_mode=_PX4_MODES["LAND"],
+    hovering_modes=frozenset({_PX4_MODES["LOITER"], _PX4_MODES["POSCTL"], _PX4_MODES["ALTCTL"]}),
+    stream_timeout=("COM_OF_LOSS_T", 1.0),
     take_off=TakeOff.BY_SETPOINT,
     lands_by_command=True,
     encoding=Encoding.BYTEWISE,
@@ -212,6 +218,8 @@ ARDUPILOT: Final = AutopilotProfile(
     modes=MappingProxyType(_ARDUPILOT_MODES),
     streaming_mode=_ARDUPILOT_MODES["GUIDED"],
     land_mode=_ARDUPILOT_MODES["LAND"],
+    hovering_modes=frozenset(_ARDUPILOT_MODES[name] for name in ("ALT_HOLD", "LOITER", "POSHOLD", "BRAKE")),
+    stream_timeout=("GUID_TIMEOUT", 3.0),
     take_off=TakeOff.BY_COMMAND,
     lands_by_command=False,
     encoding=Encoding.CAST,
