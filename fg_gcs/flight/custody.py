@@ -10,7 +10,6 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.policy import Care
 from fg_gcs.plan.keep_clear import Column
-from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
 NEAR_M = 0.5  # how far a vehicle that is heard may be from where it says that it is, or drift while it comes down
@@ -62,6 +61,10 @@ class Custody:
                 self._told_enu_m[row] = told_enu_m
         elif care is Care.LAND:  # somebody else had it
             self._care[row] = care
+
+    def rests(self, row: int, told_enu_m: Array) -> None:
+        """Say where a vehicle that was given up is told to rest, shape (3,) [m]: it is there if it hears."""
+        self._told_enu_m[row] = told_enu_m
 
     @property
     def waits(self) -> bool:
@@ -126,11 +129,6 @@ class Custody:
             for place in places
             if np.isfinite(place).all()
         )
-
-    def is_down(self, row: int) -> bool:
-        """Say whether a vehicle is known to be on the ground with its motors off."""
-        vehicle = self._fleet.vehicles[row]
-        return not vehicle.armed and vehicle.phase is not Phase.LOST
 
 
 def _travels(vehicle: Vehicle) -> bool:

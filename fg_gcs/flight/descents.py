@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.fleet import STEP_S
+from fg_gcs.flight.policy import Care
 from fg_gcs.link.clock import ticks
 from fg_gcs.wire.commands import Dialogue, Request, State, disarm, land
 from fg_gcs.wire.messages import HEARTBEAT
@@ -27,6 +28,8 @@ class _Descent:
 
     began_s: float
     patience_s: float  # how long it may be silent
+    left_s: float  # since when somebody else has it: it is left alone for a while; infinite: nobody has
+    mode: int | None  # in which they have it
     dialogue: Dialogue | None = None
     tried: set[str] = field(default_factory=set)  # names of what it refused
     next_s: float = 0.0  # when to ask again
@@ -53,8 +56,10 @@ class Descents:
         self._context.streamer.release(rows)
         for row in rows:
             if row not in self._under_way:
-                height_m = max(self._context.fleet.vehicles[row].height_m or 0.0, 0.0)
-                self._under_way[row] = _Descent(now_s, LANDING_SPARE_S + height_m / SINK_M_S)
+                vehicle = self._context.fleet.vehicles[row]
+                height_m = max(vehicle.height_m or 0.0, 0.0)
+                left_s = now_s if self._context.custody.care(row) is Care.LEAVE else math.inf
+                self._under_way[row] = _Descent(now_s, LANDING_SPARE_S + height_m / SINK_M_S, left_s, vehicle.mode)
 
     def is_begun(self, row: int) -> bool:
         """Say whether a vehicle is being brought down, or was."""
@@ -90,6 +95,9 @@ class Descents:
             self.given_up.add(row)
         elif silent_s < AGAIN_S:
             self.given_up.discard(row)
+        if self._is_left(vehicle, descent, now_s):
+            descent.dialogue = None
+            return
         if descent.dialogue is None and now_s >= descent.next_s:
             request = self._request(vehicle, descent)
             descent.dialogue = None if request is None else Dialogue(vehicle, request)
@@ -104,10 +112,23 @@ class Descents:
         if state is not State.PENDING:
             descent.dialogue, descent.next_s = None, now_s + (0.0 if state is State.DONE else AGAIN_S)
 
+    def _is_left(self, vehicle: Vehicle, descent: _Descent, now_s: float) -> bool:
+        """Say whether somebody else has a vehicle, and may go on having it for a while."""
+        others = vehicle.phase is Phase.TAKEN and vehicle.mode not in (descent.mode, vehicle.profile.land_mode)
+        if others:  # a mode of somebody else's, and newer than the last one that was left alone
+            descent.left_s, descent.mode = now_s, vehicle.mode
+        if math.isinf(descent.left_s):
+            return False
+        waits_s = self._context.mission.faults.taken_wait_s
+        if now_s - descent.left_s < waits_s:
+            return True
+        text = f"vehicle {vehicle.address} is in {vehicle.mode_name}; nobody has brought it down for {waits_s:g} s"
+        self._context.journal.event("notice", f"{text}, so it is landed")
+        descent.left_s = math.inf
+        return False
+
     def _request(self, vehicle: Vehicle, descent: _Descent) -> Request | None:
         """Return what to ask a vehicle for now."""
-        if vehicle.phase is Phase.TAKEN:
-            return None
         low = (vehicle.height_m or 0.0) < ON_GROUND_M and not vehicle.airborne
         if low and "disarm" not in descent.tried:
             return disarm()

@@ -21,7 +21,6 @@ from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.policy import (
-    Care,
     Fault,
     FaultKind,
     Part,
@@ -341,28 +340,11 @@ class Director:
 
         Whoever else has a vehicle may bring it down; if it only hovers, it is landed after a while.
         """
-        custody, descents = flight.context.custody, flight.descents
-        asked = sorted(custody.asked)
-        descents.begin(row for row in asked if custody.care(row) is not Care.LEAVE)
-        left = [row for row in asked if custody.care(row) is Care.LEAVE]
-        ended_s = self.journal.time()
-        async for _ in ticks(ended_s, STEP_S):
-            for row in left:
-                if not descents.is_begun(row) and (
-                    custody.is_down(row) or self.journal.time() - ended_s > self.mission.faults.taken_wait_s
-                ):
-                    self._take_from_others(flight, row)
+        descents, asked = flight.descents, sorted(flight.context.custody.asked)
+        descents.begin(asked)
+        async for _ in ticks(self.journal.time(), STEP_S):
             if all(descents.is_down(row) or row in descents.given_up for row in asked) or self._stops >= MOST_STOPS:
                 return
-
-    def _take_from_others(self, flight: Flight, row: int) -> None:
-        vehicle = flight.context.fleet.vehicles[row]
-        if not flight.context.custody.is_down(row):
-            waited = f"nobody has brought it down for {self.mission.faults.taken_wait_s:g} s, so it is landed"
-            self.journal.event("notice", f"vehicle {vehicle.address} is in {vehicle.mode_name}; {waited}")
-            vehicle.command_mode(vehicle.profile.land_mode)
-        flight.context.custody.take(row, Care.LAND)
-        flight.descents.begin([row])
 
     def _wanted(self) -> tuple[VehicleAddress, ...] | None:
         """Return the vehicles that the mission names; None where any will do.

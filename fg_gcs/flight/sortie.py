@@ -20,6 +20,7 @@ from fg_gcs.flight.policy import Rung
 from fg_gcs.flight.target_follower import TargetFollower
 from fg_gcs.link.clock import ticks
 from fg_gcs.plan.flight_plan import FlightPlan
+from fg_gcs.plan.keep_clear import Column
 from fg_gcs.plan.landing import part, with_room
 from fg_gcs.plan.verification import CheckedPlan, check
 from fg_gcs.plan.way_home import plan_home
@@ -145,8 +146,7 @@ class Sortie:
         """Fly to the places above the pads; whoever gets lost on the way is the policy's affair."""
         if not rows:
             return
-        places = self._places(still, rows)
-        columns = self._custody.columns()
+        places, columns = self._places(still, rows), self._columns(still)
         way = await asyncio.to_thread(plan_home, places, self._context.tops_enu_m, self._task.rules, columns)
         plan = await asyncio.to_thread(check, way.pieces, self._task.rules, self._gaze_enu_m)
         await self._stream(rows, plan, still)
@@ -159,7 +159,7 @@ class Sortie:
             with self._journal.in_stage("spread"):
                 still = await self._at_rest(motion)
                 rows = self._custody.flying()
-                places, columns = self._places(still, rows), self._custody.columns()
+                places, columns = self._places(still, rows), self._columns(still)
                 pieces = await asyncio.to_thread(part, places, self._task.rules, columns)
                 if pieces:
                     plan = await asyncio.to_thread(check, pieces, with_room(self._task.rules, places), self._gaze_enu_m)
@@ -178,6 +178,13 @@ class Sortie:
         """Where those at ``rows`` are told to rest, shape (V, 3) [m]."""
         places: Array = still.at(self._time()).position_m[[list(still.rows).index(row) for row in rows]]
         return places
+
+    def _columns(self, still: Motion) -> list[Column]:
+        """Where those may be by now that were given up; who still gets setpoints may hear them, and rest there."""
+        for row, place in zip(still.rows, still.at(self._time()).position_m, strict=True):
+            if not self._custody.counted_on(row) and self._streamer.engaged(row):
+                self._custody.rests(row, place)
+        return self._custody.columns()
 
     async def _land(self, rows: Sequence[int]) -> None:
         """Land vehicles on the spot, and wait until they are on the ground, motors off.

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
-from fg_gcs.flight.director import Director
+from fg_gcs.flight.director import MOST_STOPS, Director
 from fg_gcs.flight.snapshot import RunEvent
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.mission.model import Mission
@@ -210,7 +210,9 @@ async def _judge(trial: Trial, fault_separation_m: float, folder: Path) -> Judge
             judge_.found.result = flight.result()
         else:
             judge_.found.broken.append(f"no end after {LONGEST_S:g} s")
-            flight.cancel()
+            for _ in range(MOST_STOPS):  # as a person who asks again and again
+                flight.cancel()
+                await asyncio.sleep(1.0)
         judge_.found.ended_s = loop.time()
         await asyncio.sleep(AFTER_S)
         judge_.conclude()
