@@ -230,6 +230,12 @@ class Director:
         """Take a fault; the policy says what follows."""
         self._decide(respond(fault.kind, self._situation), fault.text)
 
+    def _stalled(self, seconds: float) -> None:
+        """Say that this program stood still; nothing that was planned for then is sent now."""
+        text = f"this program stood still for {seconds:.1f} s"
+        self.journal.event("fault", text, fault=FaultKind.STALL.value, vehicles=[], value=seconds)
+        self._report(Fault(FaultKind.STALL, (), text, self.journal.time(), seconds))
+
     def _decide(self, response: Response, text: str) -> None:
         rung = self._rung if self._decision is None else self._decision.response.rung
         if response.rung > max(rung, Rung.HOLD) or (response.again and response.rung >= rung):
@@ -323,6 +329,7 @@ class Director:
         streamer, descents, watch = flight.context.streamer, flight.descents, flight.watch
         self.streamer = streamer
         streamer.after_round = self._good_moment
+        streamer.stalled = self._stalled
         again = FaultKind.STREAMER_AGAIN
         supervisor.start(
             Duty("streamer", streamer.run, lambda: streamer.turned_s, STREAMER_DOG_S, FaultKind.STREAMER, again)

@@ -333,3 +333,13 @@ def refused(now: Situation) -> Response:
     """Return what follows when there is no verified plan for the present rung: the next one."""
     following = Rung.HOME if now.rung < Rung.HOME else Rung(min(now.rung + 1, Rung.LAND_NOW))
     return Response(following, again=False, care=Care.FLY)
+
+
+def failures_table() -> str:
+    """Return the table of all faults and what follows from them, as docs/failures.md has it."""
+    lines = ["| fault | how it is noticed | how soon | response | the vehicle itself | what is kept |"]
+    lines.append("| --- " * 6 + "|")
+    for kind, row in ROWS.items():
+        cells = (f"`{kind.value}`: {row.what}", row.noticed, row.within, row.rung.does, row.care.value, row.data)
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)

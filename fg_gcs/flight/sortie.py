@@ -15,7 +15,7 @@ from fg_gcs.errors import VehicleError
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.fleet import STEP_S, until
-from fg_gcs.flight.motions import Beside, Follow, FormationMotion, Motion, Rest
+from fg_gcs.flight.motions import Beside, Follow, Motion, Rest
 from fg_gcs.flight.policy import Rung
 from fg_gcs.flight.target_follower import TargetFollower
 from fg_gcs.link.clock import ticks
@@ -34,6 +34,7 @@ STILL_M = 0.1  # and this close it has settled; plans start from there, or after
 STILL_S = 3.0
 SETTLE_S = 10.0  # how long arriving may take after a plan has ended
 CLIMB_M_S = 0.5  # slowest climb to wait for at take-off
+HEARD_S = 2.0  # how long vehicles have to tell where they are after this program stood still
 LET_GO_S = 5.0  # how long vehicles have to begin to land before the program ends all the same
 STREAMED_S = 1.0  # how long setpoints run before the mode is asked for that needs them
 
@@ -59,6 +60,7 @@ class Sortie:
         self._target_follower = target_follower
         self._time = context.journal.time
         self._motion: Follow | None = None  # of those that fly, while others stay beside them
+        self._where_stalled: Rest | None = None  # where they came to rest after this program stood still
 
     async def as_planned(self, origin: Geodetic) -> None:
         """Take off, gather, fly to the target and stay around it, fly home, land.
@@ -134,10 +136,9 @@ class Sortie:
 
     async def _home(self) -> None:
         """Come to rest, fly home on lines verified from where every vehicle is told to be, land."""
-        motion = self._present
-        if isinstance(motion, Follow | FormationMotion):
+        if not isinstance(self._present, Rest) or self._where_stalled is not None:
             with self._journal.in_stage("home"):
-                still = await self._at_rest(motion)
+                still = await self._at_rest()
                 rows = self._custody.flying()
                 await self._fly_home(still, rows)
         await self._land(self._custody.flying())
@@ -154,10 +155,9 @@ class Sortie:
 
     async def _land_apart(self) -> None:
         """Come to rest, part until each can come straight down, land."""
-        motion = self._present
-        if isinstance(motion, Follow | FormationMotion):
+        if not isinstance(self._present, Rest) or self._where_stalled is not None:
             with self._journal.in_stage("spread"):
-                still = await self._at_rest(motion)
+                still = await self._at_rest()
                 rows = self._custody.flying()
                 places, columns = self._places(still, rows), self._columns(still)
                 pieces = await asyncio.to_thread(part, places, self._task.rules, columns)
@@ -199,8 +199,14 @@ class Sortie:
         if lost:
             raise VehicleError(f"lost while landing: {vehicles_named(lost)}")
 
-    async def _at_rest(self, motion: Follow | FormationMotion) -> Motion:
+    async def _at_rest(self) -> Motion:
         """Stop on the path, or on the trajectory that is verified for it; return the motion that rests."""
+        motion = self._present
+        if motion is None:
+            self._where_stalled = await self._where_they_are()
+            return self._where_stalled
+        if isinstance(motion, Rest):
+            return motion
         if isinstance(motion, Follow):
             before = self._streamer.motion
             if not motion.stops and motion.end_s > self._time():
@@ -211,6 +217,27 @@ class Sortie:
         resting, rests_s = self._target_follower.stop()
         await asyncio.sleep(rests_s - self._time())
         return resting
+
+    async def _where_they_are(self) -> Rest:
+        """Rest where the vehicles are by now: nothing was streamed for so long that they are not where they were told.
+
+        Raises:
+            VehicleError: one does not tell where it is, or does not come to rest.
+        """
+        rows, fleet, since_s = self._custody.flying(), self._fleet, self._time()
+        if self._target_follower is not None:
+            self._target_follower.close()
+
+        def waiting() -> list[Vehicle]:
+            return [fleet.vehicles[row] for row in rows if fleet.states.position_at_s[row] <= since_s]
+
+        with suppress(VehicleError):  # who is silent is the policy's affair
+            await until(waiting, HEARD_S, "tell where they are")
+        places = fleet.positions_enu_m(self._time())[rows]
+        still = Rest(rows, places, self._plan.gather.yaw_rad(places))
+        self._streamer.motion = still
+        await self._settle(rows, "rest")
+        return still
 
     # --- as planned ----------------------------------------------------------------------------------------------
 

@@ -14,6 +14,7 @@ from fg_gcs.flight.context import Context
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.policy import ROWS, Care, Fault, FaultKind
 from fg_gcs.flight.safety import SPARE_S, Bounds, Finding, Picture, faults, findings
+from fg_gcs.flight.streamer import STALL_S
 from fg_gcs.link.clock import ticks
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 
@@ -57,10 +58,13 @@ class Watch:
 
     async def run(self) -> None:
         """Look, for ever."""
-        async for _ in ticks(self._time(), WATCH_S):
+        blind_until_s = -math.inf
+        async for _, late_s in ticks(self._time(), WATCH_S):
             now_s = self.turned_s = self._time()
+            if late_s > STALL_S:  # this program stood still: what the vehicles said meanwhile has yet to be read
+                blind_until_s = now_s + STALL_S
             watched = WATCHED.get(self._context.journal.stage, frozenset())
-            if watched:
+            if watched and now_s >= blind_until_s:
                 self._look(watched, now_s)
             self._attend(now_s)
 

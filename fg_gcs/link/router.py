@@ -219,13 +219,15 @@ class Router:
             period_s: Autopilots want one heartbeat a second.
         """
         heartbeat = laid_out(commands.heartbeat())
-        async for _ in ticks(self._time(), period_s):
+        async for _, late_s in ticks(self._time(), period_s):
             self.turned_s = self._time()
             called = [peer for peer in self._peers.values() if peer.wire.remote is not None]
             for some in _batches(list(dict.fromkeys([*self._routes.values(), *called]))):
                 for peer in some:
                     self._send(peer, peer.sender.finish(*heartbeat))
                 await asyncio.sleep(0.0)
+            if late_s > LOST_AFTER_S / 2:  # this program stood still: what vehicles said meanwhile has yet to be read
+                continue
             for vehicles in _batches(list(self.vehicles.values())):
                 for vehicle in vehicles:
                     vehicle.watch(self._time())
