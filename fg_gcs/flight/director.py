@@ -81,6 +81,7 @@ class FlightResult:
     vehicles_landed: int = 0
     lost: tuple[VehicleAddress, ...] = ()  # those that fell silent and did not come back
     not_down: tuple[VehicleAddress, ...] = ()  # those that are not known to be on the ground with their motors off
+    died: tuple[str, ...] = ()  # names of tasks of this program that raised or hung, and were started again
     late_ticks: int = 0
     counters: Counters | None = None
     tracking: TrackingSummary | None = None  # of missions with moving targets, once tracking has begun
@@ -172,15 +173,17 @@ class Director:
             networks, on_frame=self._link_recorder.on_frame, tap=self._link_recorder.tap
         )
         self.journal.event("open", f"listening at {_places(networks)}")
+        supervisor = Supervisor(self._report, self.journal)
         try:
             with short_collections():
-                async with Supervisor(self._report, self.journal) as supervisor:
+                async with supervisor:
                     supervisor.start(_duty("heartbeat", router.keep_alive, lambda: router.turned_s, HEARTBEAT_DOG_S))
                     supervisor.start(
                         _duty("recorder", partial(self._drain, router), lambda: self._drained_s, BYSTANDER_DOG_S)
                     )
                     await self._run(router, wanted, supervisor)
         finally:
+            self.result.died = tuple(name for name, _ in supervisor.deaths)
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
             self.result.stages = self.journal.stages
             self.result.counters = router.counters

@@ -162,7 +162,7 @@ def test_a_source_that_says_nothing_is_told_with_the_time_that_is_left(tmp_path:
 def _summary(**changes: object) -> dict[str, object]:
     figures = ("centre_error_rms_m", "centre_error_p95_m", "flux_metric_share", "replan_p99_ms")
     latencies = ("sensed_to_setpoint_p99_ms", "stamp_to_setpoint_p99_ms")
-    known = {"vehicles_landed": 4, "replans": 0, "bad_bytes": 0, "unknown_messages": 0, "lost_vehicles": []}
+    known = {"vehicles_landed": 4, "replans": 0, "bad_bytes": 0, "unknown_messages": 0, "lost": []}
     return {**dict.fromkeys((*figures, *latencies)), **known, **changes}
 
 
