@@ -118,7 +118,7 @@ class RunResult:
 
     @property
     def in_order(self) -> bool:
-        """Whether the record is complete, no task died, every vehicle is on the ground, motors off, and none hit anything.
+        """Whether the record is complete, no task died, and every vehicle is down, motors off, and has hit nothing.
 
         What simulated vehicles hit is known from the truth; of others it is not known.
         """
