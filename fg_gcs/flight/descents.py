@@ -6,9 +6,11 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from fg_gcs.flight.context import Context
-from fg_gcs.flight.fleet import STEP_S
+from fg_gcs.flight.custody import Custody
+from fg_gcs.flight.fleet import STEP_S, Fleet
+from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.policy import Care
+from fg_gcs.flight.streamer import Streamer
 from fg_gcs.link.clock import ticks
 from fg_gcs.wire.commands import Dialogue, Request, State, disarm, land
 from fg_gcs.wire.messages import HEARTBEAT
@@ -38,27 +40,37 @@ class _Descent:
 class Descents:
     """Brings vehicles down: run it as a task from before the first one is asked to arm.
 
+    Args:
+        fleet: the vehicles.
+        streamer: sends those no more setpoints that come down.
+        custody: knows whom somebody else has.
+        journal: where to tell of it.
+        taken_wait_s: how long one that somebody else has is left alone [s].
+
     Attributes:
         given_up: rows of vehicles that were silent for longer than any landing takes.
         turned_s: the loop's time of the newest sign of life [s].
     """
 
-    def __init__(self, context: Context) -> None:
+    def __init__(
+        self, fleet: Fleet, streamer: Streamer, custody: Custody, journal: Journal, taken_wait_s: float
+    ) -> None:
         self.given_up: set[int] = set()
         self.turned_s = -math.inf
-        self._context = context
+        self._fleet, self._streamer, self._custody, self._journal = fleet, streamer, custody, journal
+        self._taken_wait_s = taken_wait_s
         self._under_way: dict[int, _Descent] = {}
-        self._time = context.journal.time
+        self._time = journal.time
 
     def begin(self, rows: Iterable[int]) -> None:
         """Send these vehicles no more setpoints, and bring them down."""
         rows, now_s = list(rows), self._time()
-        self._context.streamer.release(rows)
+        self._streamer.release(rows)
         for row in rows:
             if row not in self._under_way:
-                vehicle = self._context.fleet.vehicles[row]
+                vehicle = self._fleet.vehicles[row]
                 height_m = max(vehicle.height_m or 0.0, 0.0)
-                left_s = now_s if self._context.custody.care(row) is Care.LEAVE else math.inf
+                left_s = now_s if self._custody.care(row) is Care.LEAVE else math.inf
                 self._under_way[row] = _Descent(now_s, LANDING_SPARE_S + height_m / SINK_M_S, left_s, vehicle.mode)
 
     def is_begun(self, row: int) -> bool:
@@ -74,7 +86,7 @@ class Descents:
 
     def is_down(self, row: int) -> bool:
         """Say whether a vehicle is seen on the ground, motors off, since it was asked to come down."""
-        descent, vehicle = self._under_way.get(row), self._context.fleet.vehicles[row]
+        descent, vehicle = self._under_way.get(row), self._fleet.vehicles[row]
         if descent is None or vehicle.armed or vehicle.phase is Phase.LOST:
             return False
         return vehicle.message_at_s.get(HEARTBEAT, 0.0) >= descent.began_s + SURE_S
@@ -88,8 +100,7 @@ class Descents:
                     self._step(row, descent)
 
     def _step(self, row: int, descent: _Descent) -> None:
-        fleet, now_s = self._context.fleet, self._time()
-        vehicle = fleet.vehicles[row]
+        now_s, vehicle = self._time(), self._fleet.vehicles[row]
         silent_s = now_s - max(vehicle.heard_at_s, descent.began_s)
         if silent_s > descent.patience_s:
             self.given_up.add(row)
@@ -105,7 +116,7 @@ class Descents:
             return
         message = descent.dialogue.step(now_s)
         if message is not None:
-            fleet.router.send_message(vehicle.address, message)
+            self._fleet.router.send_message(vehicle.address, message)
         state = descent.dialogue.state
         if state is State.REFUSED:
             self._refused(descent, descent.dialogue)
@@ -119,11 +130,11 @@ class Descents:
             descent.left_s, descent.mode = now_s, vehicle.mode
         if math.isinf(descent.left_s):
             return False
-        waits_s = self._context.mission.faults.taken_wait_s
+        waits_s = self._taken_wait_s
         if now_s - descent.left_s < waits_s:
             return True
         text = f"vehicle {vehicle.address} is in {vehicle.mode_name}; nobody has brought it down for {waits_s:g} s"
-        self._context.journal.event("notice", f"{text}, so it is landed")
+        self._journal.event("notice", f"{text}, so it is landed")
         descent.left_s = math.inf
         return False
 
@@ -139,4 +150,4 @@ class Descents:
         name = dialogue.request.name
         if name not in descent.tried:
             descent.tried.add(name)
-            self._context.journal.event("warning", f"{dialogue.reason}; it is asked again")
+            self._journal.event("warning", f"{dialogue.reason}; it is asked again")

@@ -36,7 +36,7 @@ from fg_gcs.flight.safety import Bounds
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
-from fg_gcs.flight.supervisor import Duty, Supervisor
+from fg_gcs.flight.supervisor import Duty, Supervisor, bystander
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
 from fg_gcs.flight.watch import Watch
 from fg_gcs.link.clock import ticks
@@ -177,9 +177,11 @@ class Director:
         try:
             with short_collections():
                 async with supervisor:
-                    supervisor.start(_duty("heartbeat", router.keep_alive, lambda: router.turned_s, HEARTBEAT_DOG_S))
                     supervisor.start(
-                        _duty("recorder", partial(self._drain, router), lambda: self._drained_s, BYSTANDER_DOG_S)
+                        bystander("heartbeat", router.keep_alive, lambda: router.turned_s, HEARTBEAT_DOG_S)
+                    )
+                    supervisor.start(
+                        bystander("recorder", partial(self._drain, router), lambda: self._drained_s, BYSTANDER_DOG_S)
                     )
                     await self._run(router, wanted, supervisor)
         finally:
@@ -318,7 +320,7 @@ class Director:
         custody = self._custody = Custody(fleet, tops_enu_m * (1.0, 1.0, 0.0), self.journal.time)
         streamer = Streamer(fleet, self.journal.recorder, self.mission.stream.rate_hz)
         context = Context(fleet, self.mission, task, tops_enu_m, streamer, custody, self.journal)
-        descents = Descents(context)
+        descents = Descents(fleet, streamer, custody, self.journal, self.mission.faults.taken_wait_s)
         if self.mission.targets is not None:
             self.target_follower = await self._listen(streamer, task, plan)
         sortie = Sortie(context, plan, descents, self.target_follower)
@@ -493,13 +495,6 @@ class _Decision(NamedTuple):
 
     response: Response
     text: str
-
-
-def _duty(
-    name: str, work: Callable[[], Coroutine[Any, Any, None]], turned_s: Callable[[], float], watchdog_s: float
-) -> Duty:
-    """Return the duty of a task whose death changes nothing of the flight: it is told, and started again."""
-    return Duty(name, work, turned_s, watchdog_s, FaultKind.BYSTANDER, FaultKind.BYSTANDER)
 
 
 def _places(networks: Mapping[str, tuple[Endpoint, ...]]) -> str:

@@ -76,6 +76,22 @@ class Fleet:
             self.frames += (LocalFrame((east, north, ground[2])),)
         self.origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
 
+    def learn_frames_in_flight(self) -> None:
+        """Join the vehicles' own frames to that of the first one, by the origins that they report.
+
+        Their grounds are not known; heights count from the first one's origin, as well as the others' altitudes tell.
+
+        Raises:
+            VehicleError: a vehicle has not told its origin or its position.
+        """
+        missing = [v.address for v in self.vehicles if v.origin is None or v.position_ned_m is None]
+        if missing:
+            raise VehicleError(f"{vehicles_named(missing)} did not tell origin or position")
+        origins = [Geodetic(*v.origin) for v in self.vehicles if v.origin is not None]
+        places = [enu_from_geodetic(origin, origins[0]).tolist() for origin in origins]
+        self.frames = tuple(LocalFrame((east, north, up)) for east, north, up in places)
+        self.origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
+
     def positions_enu_m(self, now_s: float | None = None) -> Array:
         """Return where the vehicles are, shape (V, 3) [m; ENU].
 

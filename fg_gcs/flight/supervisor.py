@@ -35,6 +35,13 @@ class Duty(NamedTuple):
     dies_again: FaultKind
 
 
+def bystander(
+    name: str, work: Callable[[], Coroutine[Any, Any, None]], turned_s: Callable[[], float], watchdog_s: float
+) -> Duty:
+    """Return the duty of a task whose death changes nothing of the flight: it is told, and started again."""
+    return Duty(name, work, turned_s, watchdog_s, FaultKind.BYSTANDER, FaultKind.BYSTANDER)
+
+
 class Hung(Exception):
     """A task gave no sign of life.
 

@@ -188,6 +188,11 @@ class Router:
             self._latest = Routes.of(addresses, [self._routes[address] for address in addresses])
         return self._latest
 
+    def endpoint_of(self, address: VehicleAddress) -> str:
+        """Return where a vehicle is heard, as people write it; empty if it was never heard."""
+        peer = self._routes.get(address)
+        return "" if peer is None else str(peer.wire.endpoint)
+
     def send_all(self, routes: Routes, frames: Frames) -> None:
         """Send each vehicle its own frame, once.
 

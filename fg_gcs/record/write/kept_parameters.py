@@ -49,9 +49,8 @@ class Kept:
 
     @property
     def name(self) -> str:
-        """Its file's name: one vehicle has one, wherever it is heard, as far as it can be told."""
-        who = self.uid or f"{self.network}-{self.endpoint}"
-        return re.sub(r"[^A-Za-z0-9.-]+", "_", f"{who}-{self.system_id}") + ".json"
+        """Its file's name: one vehicle has one."""
+        return re.sub(r"[^A-Za-z0-9.-]+", "_", f"{self.uid}-{self.network}-{self.endpoint}-{self.system_id}") + ".json"
 
 
 def state_folder() -> Path:
