@@ -12,11 +12,12 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, geodetic_from_enu
 from fg_gcs.errors import MissionError, VehicleError
+from fg_gcs.flight.discovery import discover
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.link_recorder import LinkRecorder
-from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
+from fg_gcs.flight.preparation import Failsafes, prepare, vehicle_limits
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
@@ -222,7 +223,7 @@ class Director:
     async def _connect(self, router: Router, wanted: tuple[VehicleAddress, ...] | None) -> Fleet:
         setup, count = self._setup, self.mission.swarm.vehicles
         with self.journal.in_stage("connect"):
-            found = await discover(router, setup.networks, count, wanted, setup.wait_s)
+            found = await discover(router, setup.networks, count, wanted, setup.wait_s, self.journal)
             router.tell_shortages()
             self.fleet = self._link_recorder.fleet = Fleet(router, found)
             self.result.vehicles = tuple(self.fleet.row_of)

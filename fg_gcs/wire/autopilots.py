@@ -79,6 +79,7 @@ class AutopilotProfile:
         autopilot: MAV_AUTOPILOT of its heartbeat.
         modes: Custom mode numbers by readable name.
         streaming_mode: Mode in which position targets are obeyed.
+        waiting_mode: Mode to stand in on the ground: it needs neither a pilot nor setpoints.
         land_mode: Mode that lands here.
         take_off: How it leaves the ground.
         lands_by_command: NAV_LAND lands it; otherwise the mode does.
@@ -92,6 +93,7 @@ class AutopilotProfile:
     autopilot: int
     modes: Mapping[str, int]
     streaming_mode: int
+    waiting_mode: int
     land_mode: int
     take_off: TakeOff
     lands_by_command: bool
@@ -178,6 +180,7 @@ PX4: Final = AutopilotProfile(
     autopilot=dialect.MAV_AUTOPILOT_PX4,
     modes=MappingProxyType(_PX4_MODES),
     streaming_mode=_PX4_MODES["OFFBOARD"],
+    waiting_mode=_PX4_MODES["LOITER"],
     land_mode=_PX4_MODES["LAND"],
     take_off=TakeOff.BY_SETPOINT,
     lands_by_command=True,
@@ -211,6 +214,7 @@ ARDUPILOT: Final = AutopilotProfile(
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes=MappingProxyType(_ARDUPILOT_MODES),
     streaming_mode=_ARDUPILOT_MODES["GUIDED"],
+    waiting_mode=_ARDUPILOT_MODES["GUIDED"],
     land_mode=_ARDUPILOT_MODES["LAND"],
     take_off=TakeOff.BY_COMMAND,
     lands_by_command=False,
