@@ -110,8 +110,8 @@ def take_off(height_m: float, climb_m_s: float = 1.0) -> Request:
     """Take off by NAV_TAKEOFF; done when the vehicle is in the air: landed state IN_AIR, or 90 % of the height.
 
     Only for vehicles that take off by command, armed and in their streaming mode; no setpoint may reach them before
-    this is done. It is asked again until it is accepted or the vehicle lifts off; what arrives in the air is refused and
-    changes nothing, so a refusal counts only if there is no lift-off for a while.
+    this is done. It is asked again until it is accepted or the vehicle lifts off; what arrives in the air is refused
+    and changes nothing, so a refusal counts only if there is no lift-off for a while.
 
     Args:
         height_m: Height above home [m], positive.

@@ -13,7 +13,7 @@ from fg_gcs.wire.vehicle import Vehicle
 
 DEADLINE_S: Final = 30.0  # without its parameters a vehicle does not fly, so they are waited for
 WORST_ANSWERED: Final = 0.49  # share of questions that a link answers which loses 30 % each way
-_MOST_WRONG: Final = 1e-7  # chance to take a parameter for unknown that was only not heard
+_MOST_WRONG: Final = 3e-8  # chance, after any round, to take a parameter for unknown that was only not heard
 _RESEND_S: Final = 0.3
 _ALONE_ROUNDS: Final = 2  # most parameters are heard in the first rounds; what is not is asked for with another one
 _REFUSALS: Final = {
@@ -139,7 +139,7 @@ def is_unknown(asked: int, heard: int) -> bool:
     If the vehicle knew it, and answered a share :math:`q` of all questions, the chance to hear :math:`m` of :math:`n`
     answers about another parameter and none about this one would be :math:`\binom{n}{m} q^m (1-q)^{2n-m}`. That is
     greatest for :math:`q = m/2n`, at most a half, so it is taken for the worst link that is flown on, which is just
-    there. Without losses 12 questions are enough; with 30 % each way it takes some 22.
+    there. Without losses 13 questions are enough; with 30 % each way it takes some 24.
 
     Args:
         asked: How often both were asked for, n.
