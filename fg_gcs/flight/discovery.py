@@ -57,7 +57,7 @@ async def discover(
     if not router.vehicles:
         raise LinkError(f"no vehicle answered within {wait_s:g} s at {tried}; is it running and sending there?")
     armed = [vehicle.address for vehicle in router.vehicles.values() if vehicle.armed and wanted is None]
-    taken = f" ({vehicles_named(armed)} of them armed already)" if armed else ""
+    taken = f" (armed already: {vehicles_named(armed)})" if armed else ""
     answered = f"only {vehicles_named(router.vehicles)} answered within {wait_s:g} s at {tried}{taken}"
     raise LinkError(f"{answered}; the mission needs {names(wanted) if wanted else f'{count} of them'}")
 
