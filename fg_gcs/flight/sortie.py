@@ -291,9 +291,9 @@ class Sortie:
         return check(way.pieces, self._task.rules, gaze_enu_m)
 
     def _obeying(self) -> list[int]:
-        """Rows of the armed vehicles that are heard and not taken over."""
+        """Rows of the vehicles that are armed, or may be, and that are heard and not taken over."""
         return [
             row
             for row, vehicle in enumerate(self._fleet.vehicles)
-            if vehicle.armed and vehicle.phase not in (Phase.LOST, Phase.TAKEN)
+            if vehicle.may_be_armed and vehicle.phase not in (Phase.LOST, Phase.TAKEN)
         ]

@@ -12,7 +12,7 @@ from fg_gcs.wire.autopilots import TakeOff
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.dialogue import Answer, Request
 from fg_gcs.wire.reading import parameter_refusal, read
-from fg_gcs.wire.vehicle import Vehicle
+from fg_gcs.wire.vehicle import ARMING, Vehicle
 
 _AUTOPILOT: Final[int] = dialect.MAV_COMP_ID_AUTOPILOT1
 _REFUSALS: Final = {
@@ -26,8 +26,6 @@ _IN_AIR_SHARE: Final = 0.9  # of the height asked for: counts as taken off befor
 _LIFTED_M: Final = 0.3  # a vehicle this high has lifted off
 _SPOOL_UP_S: Final = 5.0  # lift-off comes up to 3.3 s after the command; asked again sooner, it might begin anew
 _IN_FLIGHT_S: Final = 3.0  # a take-off is refused in the air as well, and telemetry may be late to say which it was
-_ARMING: Final = "arm"
-_OVERTAKING_S: Final = 0.6  # a request to arm may overtake one to disarm, but not the next one
 _SAME_RATE: Final = (0.8, 1.25)  # of the interval asked for: ArduPilot cuts intervals to whole milliseconds
 _STREAM_PATIENCE_S: Final = 6.0  # a dozen questions: then not all that were to set the stream can have been lost
 
@@ -43,7 +41,7 @@ def heartbeat() -> Message:
 def arm() -> Request:
     """Arm; done when the heartbeat says so (ArduPilot: up to 1 s later, unless its heartbeats were made faster)."""
     return Request(
-        _ARMING,
+        ARMING,
         build=lambda vehicle: [_command(vehicle, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)],
         satisfied=lambda vehicle, since_s: vehicle.armed,
         answered=_acknowledgement_of(dialect.MAV_CMD_COMPONENT_ARM_DISARM),
@@ -56,16 +54,10 @@ def disarm() -> Request:
 
     A vehicle that was asked to arm a moment ago may do so yet: it counts as disarmed when it says so after that.
     """
-
-    def satisfied(vehicle: Vehicle, since_s: float) -> bool:
-        may_arm = since_s - vehicle.asked_at_s.get(_ARMING, -math.inf) < _OVERTAKING_S
-        heartbeat_at_s = vehicle.message_at_s.get(dialect.MAVLINK_MSG_ID_HEARTBEAT, -math.inf)
-        return not vehicle.armed and (not may_arm or heartbeat_at_s > since_s + _OVERTAKING_S)
-
     return Request(
         "disarm",
         build=lambda vehicle: [_command(vehicle, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)],
-        satisfied=satisfied,
+        satisfied=lambda vehicle, since_s: not vehicle.may_be_armed,
         answered=_acknowledgement_of(dialect.MAV_CMD_COMPONENT_ARM_DISARM),
         answered_by=dialect.MAV_CMD_COMPONENT_ARM_DISARM,
     )

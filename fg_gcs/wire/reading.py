@@ -60,7 +60,7 @@ class ReadingDialogue:
 
     PX4 refuses an unknown name, ArduPilot is silent. So silent names are asked for together with another parameter that
     the vehicle has told before: if that one is heard again and again, it is not the link that is silent, see
-    `is_unknown`. What is unknown does no harm unless it is needed; what is not heard does.
+    `is_unknown`. What is unknown does no harm unless it is needed; what is not heard does, and is asked for to the end.
     """
 
     def __init__(self, vehicle: Vehicle, question: ReadParameters) -> None:
@@ -83,6 +83,7 @@ class ReadingDialogue:
         if self._began_s is None:
             self._began_s = now_s
             return self._send(now_s)
+        self._count_other()
         self._missing = [one for one in self._missing if not self._is_heard(one, self._began_s)]
         unknown = {one: why for one in self._missing if (why := self._unknown(one, self._began_s, now_s))}
         needed = {str(one): why for one, why in unknown.items() if one.needed}
@@ -93,7 +94,8 @@ class ReadingDialogue:
             self.state = State.DONE
         elif now_s - self._began_s >= DEADLINE_S:
             names = ", ".join(map(str, self._missing))
-            self._finish(State.TIMED_OUT, names, f" within {DEADLINE_S:g} s")
+            others = f", but tells {self._other}" if self._heard else ""
+            self._finish(State.TIMED_OUT, names, f" within {DEADLINE_S:g} s{others}")
         elif now_s - self._sent_s >= _RESEND_S:
             return self._send(now_s)
         return ()
@@ -106,10 +108,10 @@ class ReadingDialogue:
         refusals = [parameter_refusal(self.vehicle, name, since_s) for name in one.names]
         if all(refusals):
             return refusals[0]
-        self._count_other()
+        if one.needed:
+            return ""  # if it is only not heard, the flight can begin as soon as it is
         answered = sum(now_s - asked_s >= ROUND_TRIP_S for asked_s in self._asked_s)
-        silent = is_unknown(answered, min(self._heard, answered))
-        return f"it is silent about it, but tells {self._other}" if silent else ""
+        return "it is silent about it" if is_unknown(answered, min(self._heard, answered)) else ""
 
     def _send(self, now_s: float) -> Sequence[Message]:
         asked = [name for one in self._missing for name in one.names]

@@ -22,6 +22,8 @@ LOST_AFTER_S: Final = 3.0  # three heartbeats at 1 Hz: one lost datagram is no l
 MOST_PARAMETERS: Final = 4096  # real autopilots have up to 1,350; a flood of made-up names must not fill the memory
 QUEUE_LENGTH: Final = 512  # texts and changes kept for whoever reads them; the oldest go first
 
+ARMING: Final = "arm"  # name of the request for it
+OVERTAKING_S: Final = 0.6  # what was sent so long before a heartbeat came had arrived when that heartbeat was sent
 EVIDENCE: Final = 2  # reports in a row that it takes to believe what starts an alarm: one datagram may be a stale one
 
 _AIRBORNE: Final = frozenset(
@@ -226,6 +228,12 @@ class Vehicle:
         """Heading [rad; clockwise from north], None before the first ATTITUDE."""
         yaw_rad = self.state.yaw_rad
         return None if math.isnan(yaw_rad) else yaw_rad
+
+    @property
+    def may_be_armed(self) -> bool:
+        """Armed as last heard, or asked to arm too lately for its heartbeats to deny it."""
+        heartbeat_at_s = self.message_at_s.get(dialect.MAVLINK_MSG_ID_HEARTBEAT, -math.inf)
+        return self.armed or heartbeat_at_s < self.asked_at_s.get(ARMING, -math.inf) + OVERTAKING_S
 
     @property
     def airborne(self) -> bool:

@@ -380,12 +380,19 @@ def test_px4_says_that_it_does_not_know_a_parameter() -> None:
 def test_ardupilot_is_silent_about_what_it_does_not_know_but_tells_something_else() -> None:
     vehicle, store = ardupilot(), Store(ARDUPILOT, "X", 1.0, 9)
     run(vehicle, reading("X"), store)
-    dialogue, sent, ended_s = run(vehicle, reading("NONE"), store)
-    assert dialogue.state is State.REFUSED
-    assert dialogue.reason == "vehicle 4 did not tell its parameter NONE: it is silent about it, but tells X"
+    dialogue, sent, ended_s = run(vehicle, reading("NONE", needed=False), store)
+    assert dialogue.state is State.DONE
     assert sum(message.param_id == "X" for message in sent) >= 13
-    assert ended_s < 5.0
-    assert run(vehicle, reading("NONE", needed=False), store)[0].state is State.DONE
+    assert ended_s < 6.0
+
+
+def test_a_needed_parameter_is_asked_for_to_the_end() -> None:
+    vehicle, store = ardupilot(), Store(ARDUPILOT, "X", 1.0, 9)
+    run(vehicle, reading("X"), store)
+    dialogue, _, ended_s = run(vehicle, reading("NONE"), store)
+    assert dialogue.state is State.TIMED_OUT
+    assert dialogue.reason == "vehicle 4 did not tell its parameter NONE within 30 s, but tells X"
+    assert ended_s == pytest.approx(30.0, abs=2 * STEP_S)
 
 
 @pytest.mark.parametrize("needed", [True, False])
@@ -409,6 +416,25 @@ def test_disarming_is_never_forced() -> None:
     vehicle.armed = True
     _, sent, _ = run(vehicle, commands.disarm(), silent)
     assert (sent[0].command, sent[0].param1, sent[0].param2) == (400, 0.0, 0.0)  # 21196 would stop motors in the air
+
+
+def test_a_vehicle_asked_to_arm_a_moment_ago_is_not_disarmed_because_it_was_before() -> None:
+    """The request to arm is under way: it arrives before or after the first one to disarm."""
+    armed = [False]
+
+    def answer(message: Message, now_s: float) -> list[tuple[float, Message]]:
+        armed[0] = now_s < 0.1
+        return [(0.2 + 0.2 * k, beat(ARDUPILOT, 4, armed=armed[0])) for k in range(5)]
+
+    vehicle = ardupilot()
+    Dialogue(vehicle, commands.arm()).step(0.0)
+    assert vehicle.may_be_armed
+    dialogue, sent, ended_s = run(vehicle, commands.disarm(), answer)
+    assert dialogue.state is State.DONE
+    assert len(sent) > 1
+    assert ended_s > 0.6
+    assert not armed[0]
+    assert not vehicle.may_be_armed
 
 
 def test_our_heartbeat_is_that_of_a_ground_station() -> None:
