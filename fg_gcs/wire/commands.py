@@ -24,6 +24,7 @@ _REFUSALS: Final = {
 }
 _IN_AIR_SHARE: Final = 0.9  # of the height asked for: counts as taken off before the vehicle itself says so
 _LIFTED_M: Final = 0.3  # a vehicle this high has lifted off
+_STILL_FLYING_S: Final = 1.0  # PX4 "temporarily" rejects disarming in the air: it is to be landed, and soon
 _SPOOL_UP_S: Final = 5.0  # lift-off comes up to 3.3 s after the command; asked again sooner, it might begin anew
 _IN_FLIGHT_S: Final = 3.0  # a take-off is refused in the air as well, and telemetry may be late to say which it was
 _SAME_RATE: Final = (0.8, 1.25)  # of the interval asked for: ArduPilot cuts intervals to whole milliseconds
@@ -60,6 +61,7 @@ def disarm() -> Request:
         satisfied=lambda vehicle, since_s: not vehicle.may_be_armed,
         answered=_acknowledgement_of(dialect.MAV_CMD_COMPONENT_ARM_DISARM),
         answered_by=dialect.MAV_CMD_COMPONENT_ARM_DISARM,
+        temporary_s=_STILL_FLYING_S,
     )
 
 
@@ -130,7 +132,7 @@ def take_off(height_m: float, climb_m_s: float = 1.0) -> Request:
         said = _acknowledged(vehicle, dialect.MAV_CMD_NAV_TAKEOFF)
         return None if said is None or (said.refusal and _has_lifted_off(vehicle)) else said
 
-    spool_up_s = 10.0  # motors need 1 to 3 s; the rest is for a slow machine, and for losses
+    spool_up_s = 15.0  # motors need 1 to 3 s; the rest is for a slow machine, and for losses
     return Request(
         "take off",
         build=build,

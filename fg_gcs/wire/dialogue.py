@@ -94,6 +94,7 @@ class Request:
         begun: Telemetry shows that the vehicle is at it, so it needs not be asked again.
         new_mode: The mode that the vehicle will change to, None if it stays.
         patience_s: A refusal counts only after it has been repeated for so long [s].
+        temporary_s: The same for "temporarily rejected" [s].
         rest_s: Once accepted, ask again only after this long [s].
         deadline_s: Give up after this long [s].
         optional: A refusal does no harm: the dialogue counts as done.
@@ -108,6 +109,7 @@ class Request:
     begun: Callable[[Vehicle], bool] | None = None
     new_mode: Callable[[Vehicle], int] | None = None
     patience_s: float = 0.0
+    temporary_s: float = TEMPORARY_S
     rest_s: float = 0.0
     deadline_s: float = DEADLINE_S
     optional: bool = False
@@ -209,7 +211,7 @@ class Dialogue:
         impossible, heard = self.request.impossible(self.vehicle), self._heard
         if impossible or heard is None or self._first_refusal_s is None:
             return impossible
-        patience_s = max(self.request.patience_s, TEMPORARY_S if heard.temporary else 0.0)
+        patience_s = max(self.request.patience_s, self.request.temporary_s if heard.temporary else 0.0)
         if patience_s:
             counts = heard.at_s - self._first_refusal_s >= patience_s
         else:

@@ -7,7 +7,7 @@ enough to tell these apart while fewer frames are lost in a row than half of tha
 from collections.abc import Sequence
 from typing import Final
 
-from fg_gcs.wire.codec import Frame
+from fg_gcs.wire.codec import MAGIC_V2, Frame
 
 AHEAD: Final = 32  # a frame this far ahead of the newest one follows it, those between are lost or late
 BEHIND: Final = 64  # and one this far behind is late, or comes a second time
@@ -16,7 +16,7 @@ CONFIRM_S: Final = 0.1  # several frames share a datagram, so those that confirm
 _MOST_HELD: Final = 64
 _NUMBERS: Final = 256
 
-Placed = tuple[int, Frame]
+NOT_NOW: Final = -1
 
 
 class FrameOrder:
@@ -24,7 +24,7 @@ class FrameOrder:
 
     A frame that fits nowhere near the newest one is from the past, or others before it were lost by the dozen, or its
     sender has started again. It is held until the next frames tell: if they go on from the newest one it was from the
-    past and is dropped; if for `CONFIRM_S` they go on from the held one, all that were held are given out.
+    past and is dropped; if for `CONFIRM_S` they go on from the held one, all that were held are released.
     """
 
     def __init__(self) -> None:
@@ -34,55 +34,67 @@ class FrameOrder:
         self._checksums = [b""] * _NUMBERS
         self._held: list[Frame] = []
         self._held_since_s = 0.0
+        self._released: list[tuple[Frame, int]] = []
 
-    def place(self, frame: Frame, now_s: float) -> Sequence[Placed]:
-        """Return the frames that can be believed now with their indices, in the order of their arrival.
+    def place(self, frame: Frame, now_s: float) -> int:
+        """Return the index of a frame, or `NOT_NOW`: it is dropped, or held, or among those now `released`.
 
         Args:
             frame: The next frame that came from the sender.
             now_s: Loop time [s].
         """
-        sequence, newest = frame.get_seq(), self._newest
-        if newest < 0:
-            return (self._accept(frame, sequence, now_s),)
-        ahead = (sequence - newest) % _NUMBERS
-        if 0 < ahead <= AHEAD:
-            self._held.clear()
-            return (self._accept(frame, newest + ahead, now_s),)
-        behind = -ahead % _NUMBERS
+        raw, newest = frame.raw, self._newest
+        sequence = raw[4] if raw[0] == MAGIC_V2 else raw[2]  # as `Frame.get_seq`, at thousands of frames a second
+        ahead = (sequence - newest) & 0xFF
+        if 0 < ahead <= AHEAD and newest >= 0:
+            if self._held:
+                self._held.clear()
+            self._newest = newest = newest + ahead
+            self._newest_at_s = now_s
+            self._indices[sequence], self._checksums[sequence] = newest, raw[-2:]
+            return newest
+        return self._place_elsewhere(frame, sequence, now_s)
+
+    def released(self) -> Sequence[tuple[Frame, int]]:
+        """Take out the frames that were held and can be believed now, with their indices, in the order of these."""
+        released, self._released = self._released, []
+        return released
+
+    def _place_elsewhere(self, frame: Frame, sequence: int, now_s: float) -> int:
+        if self._newest < 0:
+            return self._accept(frame, sequence, now_s)
+        behind = (self._newest - sequence) % _NUMBERS
         if behind <= BEHIND:
-            index = newest - behind
+            index = self._newest - behind
             if self._indices[sequence] == index:
                 if self._checksums[sequence] == frame.raw[-2:]:
-                    return ()
+                    return NOT_NOW
             elif index >= 0 and now_s - self._newest_at_s <= QUIET_S:
                 self._held.clear()
-                return (self._accept(frame, index, now_s),)
-        return self._hold(frame, now_s)
+                return self._accept(frame, index, now_s)
+        self._hold(frame, now_s)
+        return NOT_NOW
 
-    def _accept(self, frame: Frame, index: int, now_s: float) -> Placed:
+    def _accept(self, frame: Frame, index: int, now_s: float) -> int:
         sequence = index % _NUMBERS
         self._indices[sequence], self._checksums[sequence] = index, frame.raw[-2:]
         if index > self._newest:
             self._newest, self._newest_at_s = index, now_s
-        return index, frame
+        return index
 
-    def _hold(self, frame: Frame, now_s: float) -> Sequence[Placed]:
+    def _hold(self, frame: Frame, now_s: float) -> None:
         held = self._held
         if not held or not _follows(held[-1], frame) or len(held) >= _MOST_HELD:
             self._held, self._held_since_s = [frame], now_s
-            return ()
+            return
         held.append(frame)
         if now_s - self._held_since_s < CONFIRM_S:
-            return ()
+            return
         self._held = []
-        # Whole turns further on, so that everything is newer than whatever came before
-        base = self._newest + 2 * _NUMBERS
-        first = base + (held[0].get_seq() - base) % _NUMBERS
-        return [
-            self._accept(one, first + _signed(one.get_seq() - held[0].get_seq()), now_s)
-            for one in sorted(held, key=lambda one: _signed(one.get_seq() - held[0].get_seq()))
-        ]
+        base = self._newest + 2 * _NUMBERS  # whole turns further on, so that all is newer than whatever came before
+        first, start = held[0].get_seq(), base + (held[0].get_seq() - base) % _NUMBERS
+        steps = sorted((_signed(one.get_seq() - first), place) for place, one in enumerate(held))
+        self._released = [(held[place], self._accept(held[place], start + step, now_s)) for step, place in steps]
 
 
 def _follows(before: Frame, frame: Frame) -> bool:

@@ -261,13 +261,21 @@ class Vehicle:
         """
         if frame.component_id != dialect.MAV_COMP_ID_AUTOPILOT1:
             return
-        for index, one in self._order.place(frame, now_s):
+        index = self._order.place(frame, now_s)
+        if index >= 0:
+            self._believe(frame, index, now_s)
+            return
+        for one, index in self._order.released():
             self._believe(one, index, now_s)
 
     def _believe(self, frame: Frame, index: int, now_s: float) -> None:
         identity, self._index = frame.message_id, index
         handler = self._HANDLERS.get(identity)
-        if handler is not None and (identity not in _STATES or self._is_newest(identity)):
+        if handler is not None:
+            if identity in _STATES:
+                if index <= self._newest.get(identity, -1):
+                    return
+                self._newest[identity] = index
             fields = frame.fields()
             if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and profile_of(fields) is not self.profile:
                 return

@@ -23,8 +23,11 @@ def frames(count: int, first: int = 0) -> list[Frame]:
 
 def heard(arrivals: list[tuple[float, Frame]]) -> list[tuple[int, Frame]]:
     """Return what is believed of frames that arrive at some times, in the order in which it is."""
-    order = FrameOrder()
-    return [placed for at_s, frame in sorted(arrivals, key=lambda one: one[0]) for placed in order.place(frame, at_s)]
+    order, placed = FrameOrder(), list[tuple[int, Frame]]()
+    for at_s, frame in sorted(arrivals, key=lambda one: one[0]):
+        index = order.place(frame, at_s)
+        placed += [(index, frame)] if index >= 0 else [(of_held, held) for held, of_held in order.released()]
+    return placed
 
 
 def are_in_order(placed: list[tuple[int, Frame]]) -> bool:
