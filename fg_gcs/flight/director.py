@@ -235,7 +235,7 @@ class Director:
         """Get the fleet ready; return the mission's task under the limits that the vehicles really have."""
         task = self.mission.task()
         await prepare(fleet, self.journal)
-        limits = await vehicle_limits(fleet, task.rules.limits, self.journal)
+        limits = vehicle_limits(fleet, task.rules.limits, self.journal)
         failsafes.append(Failsafes(fleet, self.journal))
         await failsafes[0].set()
         origin = self.mission.origin_geodetic() if self._knows_origin else None

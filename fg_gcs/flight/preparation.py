@@ -10,7 +10,7 @@ from fg_gcs.flight.fleet import Fleet, NotInTime, until
 from fg_gcs.flight.journal import Journal
 from fg_gcs.plan.limits import Limits
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
-from fg_gcs.wire.autopilots import FailsafeParameter, TakeOff
+from fg_gcs.wire.autopilots import AutopilotProfile, FailsafeParameter, TakeOff
 from fg_gcs.wire.commands import request_origin, set_message_interval, set_mode, write_parameter
 from fg_gcs.wire.dialogue import Question
 from fg_gcs.wire.reading import ReadParameters, Wanted
@@ -23,17 +23,19 @@ AT_ONCE = 8  # questions to one vehicle at a time: streams and parameters tell t
 
 
 async def prepare(fleet: Fleet, journal: Journal) -> None:
-    """Get every vehicle ready to arm, its streams flowing and its origin known.
+    """Get every vehicle ready to arm, its streams flowing, its origin and its limits and failsafes known.
 
     Readiness counts for the present mode only. So ArduPilot is put into its streaming mode first. PX4 still stands in
     that after a flight that its own failsafe ended, and is never ready there without setpoints: it is put into the mode
     that it waits in.
 
     Raises:
-        VehicleError: a vehicle refused something needed, or is not ready in time; says why as far as it told.
+        VehicleError: a vehicle refused something needed, does not tell a parameter (that of a limit may be unknown to
+            its firmware, but not a failsafe that we set), or is not ready in time; says why as far as it told.
     """
 
     def streams(vehicle: Vehicle) -> Iterator[Question]:
+        yield ReadParameters(parameters_of(vehicle.profile))
         rate_hz = TELEMETRY_HZ[len(fleet.vehicles) > MANY]
         for stream in vehicle.profile.streams(rate_hz):
             yield set_message_interval(stream.message_id, stream.rate_hz, optional=not stream.needed)
@@ -61,6 +63,12 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
     journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")
 
 
+def parameters_of(profile: AutopilotProfile) -> tuple[Wanted, ...]:
+    """Return the parameters that must be known before a vehicle flies."""
+    limits = (Wanted(tuple(limit.names), needed=False) for limit in profile.limits)
+    return (*limits, *(Wanted((one.name,), needed=one.wanted is not None) for one in profile.failsafes))
+
+
 def _refuse_armed(fleet: Fleet) -> None:
     """Leave alone what somebody else has armed.
 
@@ -86,24 +94,17 @@ def not_ready(waiting: Sequence[Vehicle]) -> str:
     return f"not ready to arm within {READY_S:g} s: {', '.join(groups)}"
 
 
-async def vehicle_limits(fleet: Fleet, limits: Limits, journal: Journal) -> Limits:
-    """Return the mission's limits, lowered to what the vehicles' own parameters allow.
+def vehicle_limits(fleet: Fleet, limits: Limits, journal: Journal) -> Limits:
+    """Return the mission's limits, lowered to what the vehicles' own parameters allow, as `prepare` has read them.
+
+    Where a firmware has no such parameter the limit stays the mission's.
 
     Jerk is among them where an autopilot shapes streamed setpoints by it. ArduCopter does in GUIDED: whatever the mask,
     targets pass the position controller's input shaping, whose jerk is ``PSC_JERK_XY``; plans beyond it are flown with
     a lag and overshot (measured, see docs/autopilots). ``WPNAV_JERK`` shapes its own waypoint legs only. PX4 shapes
     nothing in OFFBOARD: setpoints go straight to the position controller, and ``MPC_JERK_MAX`` and ``MPC_JERK_AUTO``
     belong to its manual and automatic modes.
-
-    Raises:
-        VehicleError: a vehicle does not tell whether it has a parameter. One that its firmware has not does no harm, as
-            firmwares differ; that limit then stays the mission's.
     """
-
-    def script(vehicle: Vehicle) -> list[Question]:
-        return [ReadParameters(tuple(Wanted(tuple(limit.names), needed=False) for limit in vehicle.profile.limits))]
-
-    await fleet.ask(fleet.vehicles, script)
     lowest: dict[str, tuple[float, str, VehicleAddress]] = {}
     for vehicle in fleet.vehicles:
         for limit in vehicle.profile.limits:
@@ -129,18 +130,12 @@ class Failsafes:
         self._found: list[tuple[Vehicle, str, float]] = []
 
     async def set(self) -> None:
-        """Read every failsafe parameter, change those that are unsafe for a swarm, and say what was found and changed.
+        """Change those failsafes that are unsafe for a swarm, as `prepare` has read them; say what was found and set.
 
         Raises:
-            VehicleError: a vehicle does not tell its value, or keeps an unsafe one; names vehicle and parameter.
+            VehicleError: a vehicle keeps an unsafe value; names vehicle and parameter.
         """
-
-        def script(vehicle: Vehicle) -> list[Question]:
-            failsafes = vehicle.profile.failsafes
-            return [ReadParameters(tuple(Wanted((one.name,), needed=one.wanted is not None) for one in failsafes))]
-
         vehicles = self._fleet.vehicles
-        await self._fleet.ask(vehicles, script)
         self._found = [
             (vehicle, failsafe.name, vehicle.params[failsafe.name])
             for vehicle in vehicles

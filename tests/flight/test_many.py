@@ -81,7 +81,7 @@ def armed(folder: Path, autopilot: str, count: int, judge: Judge) -> Times:
             times_s = [time()]
             await prepare(fleet, journal)
             times_s.append(time())
-            await vehicle_limits(fleet, Limits(8.0, 4.0), journal)
+            vehicle_limits(fleet, Limits(8.0, 4.0), journal)
             await Failsafes(fleet, journal).set()
             times_s.append(time())
             await fleet.ask(fleet.vehicles, lambda vehicle: [set_mode(vehicle.profile.waiting_mode), arm()])
