@@ -24,6 +24,7 @@ QUEUE_LENGTH: Final = 512  # texts and changes kept for whoever reads them; the 
 
 ARMING: Final = "arm"  # name of the request for it
 OVERTAKING_S: Final = 0.6  # what was sent so long before a heartbeat came had arrived when that heartbeat was sent
+_ARMS_S: Final = 5.0  # a vehicle that was asked to arm does so within that, if it does
 EVIDENCE: Final = 2  # reports in a row that it takes to believe what starts an alarm: one datagram may be a stale one
 
 _AIRBORNE: Final = frozenset(
@@ -179,7 +180,7 @@ class Vehicle:
         self._order = FrameOrder()
         self._index = 0  # of the frame that is being read
         self._newest: dict[int | str, int] = {}  # indices of the newest frames that told of one thing
-        self._disarmings = self._foreign_modes = 0  # reports in a row
+        self._arming_reports = self._foreign_modes = 0  # reports in a row
         self._clock_ms = 0  # time stamp of the newest position
         self._earlier_clock_ms: int | None = None  # the same of one that is older, and came after it
 
@@ -340,15 +341,25 @@ class Vehicle:
         self.mode = mode
         self._foreign_modes = self._foreign_modes + 1 if self._is_foreign(mode) else 0
 
-    def _set_armed(self, *, armed: bool) -> None:
-        """Believe that it is armed at once; that it is so no more, when it says so again or stands on the ground."""
-        self._disarmings = 0 if armed else self._disarmings + 1
-        landed = self.phase in _IN_FLIGHT and self.landed_state == dialect.MAV_LANDED_STATE_ON_GROUND
-        if armed or landed or self._disarmings >= EVIDENCE:
-            self.armed = armed
+    def _set_armed(self, now_s: float, *, armed: bool) -> None:
+        """Believe what is expected at once, and anything else when it is said again.
+
+        Expected is that it arms when asked to, and disarms on the ground after its flight.
+        """
+        if armed == self.armed:
+            self._arming_reports = 0
+            return
+        self._arming_reports += 1
+        if armed:
+            asked = now_s - self.asked_at_s.get(ARMING, -math.inf) < _ARMS_S
+            expected = asked or dialect.MAVLINK_MSG_ID_HEARTBEAT not in self.message_at_s  # its first word
+        else:
+            expected = self.phase in _IN_FLIGHT and self.landed_state == dialect.MAV_LANDED_STATE_ON_GROUND
+        if expected or self._arming_reports >= EVIDENCE:
+            self.armed, self._arming_reports = armed, 0
 
     def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
-        self._set_armed(armed=bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED))
+        self._set_armed(now_s, armed=bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED))
         self._set_mode(message.custom_mode)
         self._apply(PhaseEvent.HEARD, now_s)
         self._judge(now_s)

@@ -9,7 +9,7 @@ from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec, Message, is_known
 from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
-from fg_gcs.wire.vehicle import LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Origin, Vehicle
+from fg_gcs.wire.vehicle import ARMING, LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Origin, Vehicle
 
 PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 ON_GROUND, IN_AIR = dialect.MAV_LANDED_STATE_ON_GROUND, dialect.MAV_LANDED_STATE_IN_AIR
@@ -78,6 +78,7 @@ def test_a_flight_walks_through_the_phases() -> None:
     offboard, land = PX4.streaming_mode, PX4.land_mode
     seen = [probe.heartbeat(PX4.modes["LOITER"], armed=False).phase, probe.prearm(good=True).phase]
     probe.vehicle.command_mode(offboard)
+    probe.vehicle.asked_at_s[ARMING] = probe.now_s
     seen.append(probe.heartbeat(offboard, armed=True).phase)
     probe.landed(ON_GROUND)
     seen.append(probe.landed(IN_AIR).phase)
@@ -139,6 +140,17 @@ def test_two_reports_are_a_disarming_and_on_the_ground_one() -> None:
     probe = flying(PX4)
     probe.landed(ON_GROUND)
     assert probe.heartbeat(PX4.streaming_mode, armed=False).phase is Phase.LANDED
+
+
+def test_an_armed_heartbeat_from_the_past_makes_no_landed_vehicle_an_armed_one() -> None:
+    probe = flying(PX4)
+    probe.landed(ON_GROUND)
+    assert probe.heartbeat(PX4.streaming_mode, armed=False).phase is Phase.LANDED
+    probe.now_s += 30.0
+    assert probe.heartbeat(PX4.streaming_mode, armed=True).phase is Phase.LANDED
+    assert probe.heartbeat(PX4.streaming_mode, armed=False).phase is Phase.LANDED
+    for phase in (Phase.LANDED, Phase.ARMED):  # somebody has armed it
+        assert probe.heartbeat(PX4.streaming_mode, armed=True).phase is phase
 
 
 def test_what_is_overtaken_by_its_like_says_nothing_and_what_comes_twice_neither() -> None:
