@@ -32,8 +32,8 @@ class Obeying:
         self.profile = profile
         self.mode, self.armed = 0, False
         self.parameters = {"KNOWN": 1.0, "FS_GCS_ENABLE": 0.0}
-        self.intervals = {}  # type: dict[int, int]
-        self.commands: list[int] = []
+        self.intervals: dict[int, int] = {}
+        self.refuses = False
 
     def heartbeat(self) -> Message:
         message: Message = dialect.MAVLink_heartbeat_message(
@@ -43,7 +43,8 @@ class Obeying:
 
     def answers(self, message: Message) -> list[Message]:
         if message.get_type() == "COMMAND_LONG":
-            self.commands.append(message.command)
+            if self.refuses:
+                return [dialect.MAVLink_command_ack_message(message.command, 4, 0, 0, 255, 190)]
             return [*self._do(message), dialect.MAVLink_command_ack_message(message.command, 0, 0, 0, 255, 190)]
         name = message.param_id
         if name not in self.parameters:
@@ -170,6 +171,19 @@ def test_a_whole_dialogue_in_any_order_of_late_answers() -> None:
         for question, armed in ((commands.arm(), True), (commands.disarm(), False), (commands.arm(), True)):
             assert link.ask(question).state is State.DONE
             assert autopilot.armed == armed
+
+
+def test_a_refusal_is_told_soon_and_its_late_copies_end_no_other_request() -> None:
+    for seed in range(100):
+        vehicle, autopilot = Vehicle(VehicleAddress(MAIN, 4), ARDUPILOT, 0.0), Obeying(ARDUPILOT)
+        link = Link(vehicle, autopilot, random.Random(seed), 0.0)
+        autopilot.refuses = True
+        dialogue = link.ask(commands.arm())
+        assert dialogue.reason == "vehicle 4 did not arm: failed"
+        assert link.now_s < 1.5
+        autopilot.refuses = False
+        assert link.ask(commands.arm()).state is State.DONE
+        assert autopilot.armed
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.2, 0.3])
