@@ -9,7 +9,9 @@ from typing import Final
 
 from fg_gcs.wire.codec import MAGIC_V2, Frame
 
-AHEAD: Final = 32  # a frame this far ahead of the newest one follows it, those between are lost or late
+NEAR: Final = 8  # a frame this far ahead of the newest one follows it: those between are lost, or were overtaken
+AHEAD: Final = 32  # and as far as this, if there was time for so many
+FASTEST_HZ: Final = 500.0  # more frames a second no vehicle sends; PX4 begins with 370
 BEHIND: Final = 64  # and one this far behind is late, or comes a second time
 QUIET_S: Final = 0.5  # longer than frames overtake each other: what is behind after such a silence is no late frame
 CONFIRM_S: Final = 0.1  # several frames share a datagram, so those that confirm each other must be this far apart
@@ -29,7 +31,7 @@ class FrameOrder:
 
     def __init__(self) -> None:
         self._newest = -1  # index; its last eight bits are the sequence number
-        self._newest_at_s = 0.0
+        self._placed_at_s = 0.0  # when a frame, the newest or a late one, was placed last
         self._indices = [-1] * _NUMBERS  # by sequence number, as the checksums: what came under it last
         self._checksums = [b""] * _NUMBERS
         self._held: list[Frame] = []
@@ -46,11 +48,11 @@ class FrameOrder:
         raw, newest = frame.raw, self._newest
         sequence = raw[4] if raw[0] == MAGIC_V2 else raw[2]  # as `Frame.get_seq`, at thousands of frames a second
         ahead = (sequence - newest) & 0xFF
-        if 0 < ahead <= AHEAD and newest >= 0:
+        if 0 < ahead <= NEAR and newest >= 0:
             if self._held:
                 self._held.clear()
             self._newest = newest = newest + ahead
-            self._newest_at_s = now_s
+            self._placed_at_s = now_s
             self._indices[sequence], self._checksums[sequence] = newest, raw[-2:]
             return newest
         return self._place_elsewhere(frame, sequence, now_s)
@@ -63,13 +65,17 @@ class FrameOrder:
     def _place_elsewhere(self, frame: Frame, sequence: int, now_s: float) -> int:
         if self._newest < 0:
             return self._accept(frame, sequence, now_s)
+        ahead = (sequence - self._newest) % _NUMBERS
+        if 0 < ahead <= min(AHEAD, NEAR + FASTEST_HZ * (now_s - self._placed_at_s)):
+            self._held.clear()
+            return self._accept(frame, self._newest + ahead, now_s)
         behind = (self._newest - sequence) % _NUMBERS
         if behind <= BEHIND:
             index = self._newest - behind
             if self._indices[sequence] == index:
                 if self._checksums[sequence] == frame.raw[-2:]:
                     return NOT_NOW
-            elif index >= 0 and now_s - self._newest_at_s <= QUIET_S:
+            elif index >= 0 and now_s - self._placed_at_s <= QUIET_S:
                 self._held.clear()
                 return self._accept(frame, index, now_s)
         self._hold(frame, now_s)
@@ -78,8 +84,7 @@ class FrameOrder:
     def _accept(self, frame: Frame, index: int, now_s: float) -> int:
         sequence = index % _NUMBERS
         self._indices[sequence], self._checksums[sequence] = index, frame.raw[-2:]
-        if index > self._newest:
-            self._newest, self._newest_at_s = index, now_s
+        self._newest, self._placed_at_s = max(self._newest, index), now_s
         return index
 
     def _hold(self, frame: Frame, now_s: float) -> None:

@@ -24,6 +24,7 @@ QUEUE_LENGTH: Final = 512  # texts and changes kept for whoever reads them; the 
 
 ARMING: Final = "arm"  # name of the request for it
 OVERTAKING_S: Final = 0.6  # what was sent so long before a heartbeat came had arrived when that heartbeat was sent
+RESTART_S: Final = 0.3  # positions of a clock that went back, without any other, for so long: it has started again
 _ARMS_S: Final = 5.0  # a vehicle that was asked to arm does so within that, if it does
 EVIDENCE: Final = 2  # reports in a row that it takes to believe what starts an alarm: one datagram may be a stale one
 
@@ -32,13 +33,12 @@ _AIRBORNE: Final = frozenset(
 )
 
 _IN_FLIGHT: Final = frozenset({Phase.FLYING, Phase.LANDING, Phase.TAKEN})
-_STATES: Final = frozenset(  # what a vehicle says anew all the time: of each only what it said last counts
+_STATES: Final = frozenset(  # what is said anew all the time: only the last word counts; positions have stamps for that
     {
         dialect.MAVLINK_MSG_ID_HEARTBEAT,
         dialect.MAVLINK_MSG_ID_CURRENT_MODE,
         dialect.MAVLINK_MSG_ID_SYS_STATUS,
         dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         dialect.MAVLINK_MSG_ID_ATTITUDE,
     }
 )
@@ -182,7 +182,7 @@ class Vehicle:
         self._newest: dict[int | str, int] = {}  # indices of the newest frames that told of one thing
         self._arming_reports = self._foreign_modes = 0  # reports in a row
         self._clock_ms = 0  # time stamp of the newest position
-        self._earlier_clock_ms: int | None = None  # the same of one that is older, and came after it
+        self._restart: tuple[int, float] | None = None  # the same of one that is older; since when such ones come [s]
 
     @property
     def system_id(self) -> int:
@@ -383,19 +383,22 @@ class Vehicle:
 
     def _on_position(self, message: LocalPositionNed, now_s: float) -> None:
         time_boot_ms, x, y, z, vx, vy, vz = message
-        if not math.isfinite(x + y + z + vx + vy + vz) or not self._is_of_now(time_boot_ms):
+        if not math.isfinite(x + y + z + vx + vy + vz) or not self._is_of_now(time_boot_ms, now_s):
             return
         self._states.set_motion(self._row, x, y, z, vx, vy, vz, time_boot_ms / 1000.0, now_s)
         self.samples += 1
         if not self.armed:
             self._states.set_ground(self._row, x, y, z)
 
-    def _is_of_now(self, clock_ms: int) -> bool:
-        """Tell whether a stamp goes on from the newest one; one that goes back is believed when the next goes on."""
-        earlier_ms, self._earlier_clock_ms = self._earlier_clock_ms, None
-        if clock_ms < self._clock_ms and (earlier_ms is None or clock_ms <= earlier_ms):
-            self._earlier_clock_ms = clock_ms
-            return False
+    def _is_of_now(self, clock_ms: int, now_s: float) -> bool:
+        """Tell whether a stamp goes on from the newest one; one that goes back is believed once it goes on there."""
+        restart, self._restart = self._restart, None
+        if clock_ms < self._clock_ms:
+            if restart is None or clock_ms < restart[0]:
+                restart = (clock_ms, now_s)
+            if now_s - restart[1] < RESTART_S:
+                self._restart = (clock_ms, restart[1])
+                return False
         self._clock_ms = clock_ms
         return True
 

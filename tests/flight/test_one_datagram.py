@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from tests.flight.harness import AUTOPILOTS, Flight, fly
-from tests.flight.meddling import MeddlingLoop, OneOf
+from tests.flight.meddling import LATENCY_S, Datagram, MeddlingLoop, OneOf
 
 LATE_S = (None, 0.05, 0.3, 1.0, 3.0)  # None: lost
 COMMON = {  # how many there are of each kind in a flight of four, about: some of each are drawn
@@ -78,3 +78,15 @@ def test_one_datagram_lost_or_doubled_changes_nothing(case: Case, tmp_path: Path
     assert flight.down_and_disarmed
     assert '"kind": "fault"' not in flight.events
     assert flight.truth_separation_m >= 1.4
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("late_s", [1.0, 3.0])
+def test_all_telemetry_a_second_time_and_late_changes_nothing(late_s: float, autopilot: str, tmp_path: Path) -> None:
+    def judge(datagram: Datagram) -> list[float]:
+        return [LATENCY_S] if datagram.outbound else [LATENCY_S, LATENCY_S + late_s]
+
+    flight = fly(tmp_path, autopilot, loop=lambda: MeddlingLoop(judge))
+    assert flight.result is not None
+    assert flight.result.completed, flight.result.reason
+    assert '"kind": "fault"' not in flight.events

@@ -9,7 +9,7 @@ from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec, Message, is_known
 from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
-from fg_gcs.wire.vehicle import ARMING, LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Origin, Vehicle
+from fg_gcs.wire.vehicle import ARMING, LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, RESTART_S, Origin, Vehicle
 
 PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 ON_GROUND, IN_AIR = dialect.MAV_LANDED_STATE_ON_GROUND, dialect.MAV_LANDED_STATE_IN_AIR
@@ -184,7 +184,13 @@ def test_a_position_of_the_past_is_dropped_and_a_clock_that_starts_again_is_beli
     assert probe.vehicle.state.north_m == 5.0
     probe.hear(position(6, 0, 0, 0, 0, 0, time_ms=9040), position(1, 0, 0, 0, 0, 0, time_ms=140))
     assert probe.vehicle.state.north_m == 6.0
-    assert probe.hear(position(2, 0, 0, 0, 0, 0, time_ms=180)).boot_time_s == 0.18
+    for number in range(1, 100):
+        probe.now_s += 0.03
+        before = probe.vehicle.samples
+        if probe.hear(position(2, 0, 0, 0, 0, 0, time_ms=140 + 40 * number)).samples > before:
+            break
+    assert number * 0.04 == pytest.approx(RESTART_S, abs=0.05)
+    assert probe.vehicle.boot_time_s == pytest.approx(0.14 + 0.04 * number)
 
 
 def test_the_mode_before_is_ours_only_until_the_commanded_one_was_seen() -> None:
