@@ -1,4 +1,7 @@
-"""Who flies: the vehicles that are named, or those with the lowest addresses among the ones that qualify."""
+"""Who flies: the vehicles that are named, or those with the lowest addresses among the ones that qualify.
+
+A vehicle qualifies if it is a multirotor that nobody has armed. Which vehicle answers first does not matter.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Router
 from fg_gcs.wire.address import VehicleAddress, names, vehicles_named
+from fg_gcs.wire.autopilots import MULTIROTORS
 from fg_gcs.wire.vehicle import Vehicle
 
 SETTLE_S = 1.2  # one heartbeat: whoever is there has been heard once by then, so that each can be named
@@ -32,8 +36,8 @@ async def discover(
         router: which hears them.
         networks: where they are to be found.
         count: how many the mission needs.
-        wanted: those that it names; None: any, the lowest first, but none that is armed: somebody else has it. Once
-            there are enough, vehicles are waited for until no more of them come.
+        wanted: those that it names; None: any that qualify, the lowest first. Once there are enough, vehicles are
+            waited for until no more of them come.
         wait_s: how long to wait for enough of them.
         journal: where to tell who flies.
 
@@ -65,9 +69,9 @@ async def discover(
 def choose(
     heard: Iterable[Vehicle], count: int, wanted: Collection[VehicleAddress] | None
 ) -> tuple[VehicleAddress, ...]:
-    """Return who flies, at most ``count``: the lowest addresses of those that are named, or else of those not armed."""
+    """Return who flies, at most ``count``: the lowest addresses of those that are named, or else that qualify."""
     qualified = (
-        vehicle.address for vehicle in heard if (not vehicle.armed if wanted is None else vehicle.address in wanted)
+        vehicle.address for vehicle in heard if (_qualifies(vehicle) if wanted is None else vehicle.address in wanted)
     )
     return tuple(sorted(qualified)[:count])
 
@@ -80,7 +84,10 @@ def who_flies(
     groups = {
         ("is not named by the mission", "are not named by the mission"): [v for v in left if wanted is not None],
         ("is armed already", "are armed already"): [v for v in left if wanted is None and v.armed],
-        ("is not needed", "are not needed"): [v for v in left if wanted is None and not v.armed],
+        ("is no multirotor", "are no multirotors"): [
+            v for v in left if wanted is None and not v.armed and v.kind not in MULTIROTORS
+        ],
+        ("is not needed", "are not needed"): [v for v in left if wanted is None and _qualifies(v)],
     }
     said = [f"{vehicles_named(chosen)} {'flies' if len(chosen) == 1 else 'fly'}"]
     said += [
@@ -89,6 +96,10 @@ def who_flies(
         if group
     ]
     return "; ".join(said)
+
+
+def _qualifies(vehicle: Vehicle) -> bool:
+    return vehicle.kind in MULTIROTORS and not vehicle.armed
 
 
 def _settling_s(

@@ -19,6 +19,7 @@ from fg_gcs.record.write.layouts import TELEMETRY
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.dialogue import Exchange, Question, State
+from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.states import StateTable
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -179,6 +180,8 @@ class _Script:
             messages += exchange.step(now_s)
         self.failures += [one.reason for one in self._asked if one.state in (State.REFUSED, State.TIMED_OUT)]
         self._asked = [one for one in self._asked if one.state is State.PENDING]
+        if self.failures and self.vehicle.phase is Phase.LOST:
+            self._asked.clear()  # what takes its time for vehicles that are heard
         if not self.failures:
             for question in islice(self._questions, self._at_once - len(self._asked)):
                 exchange = question.dialogue(self.vehicle)

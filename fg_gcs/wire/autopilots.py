@@ -15,6 +15,19 @@ from fg_gcs.wire.codec import Message
 from fg_gcs.wire.messages import Heartbeat
 from fg_gcs.wire.params import Encoding
 
+MULTIROTORS: Final = frozenset(  # MAV_TYPE of what can hover and take our setpoints
+    {
+        dialect.MAV_TYPE_QUADROTOR,
+        dialect.MAV_TYPE_COAXIAL,
+        dialect.MAV_TYPE_HELICOPTER,
+        dialect.MAV_TYPE_HEXAROTOR,
+        dialect.MAV_TYPE_OCTOROTOR,
+        dialect.MAV_TYPE_TRICOPTER,
+        dialect.MAV_TYPE_DODECAROTOR,
+        dialect.MAV_TYPE_DECAROTOR,
+    }
+)
+
 _QUIET_HZ: Final = -1.0  # negative rate: switch the stream off
 
 

@@ -131,6 +131,7 @@ class Vehicle:
         phase: Where it is in its flight.
         changes: Phase changes, for whoever takes them out (`deque.popleft`).
         texts: Whole status texts, for whoever takes them out.
+        kind: MAV_TYPE, 0 before the first heartbeat.
         mode: Custom mode, None before the first heartbeat. The newest of HEARTBEAT and CURRENT_MODE.
         commanded_mode: The mode that we put it in; any other mode, once that one was seen, is a take-over.
         armed: Motors armed.
@@ -157,6 +158,7 @@ class Vehicle:
         self.changes: deque[PhaseChange] = deque(maxlen=QUEUE_LENGTH)
         self.texts: deque[Text] = deque(maxlen=QUEUE_LENGTH)
         self.recent_texts: deque[Text] = deque(maxlen=16)  # why a request was refused: a few lines
+        self.kind: int = dialect.MAV_TYPE_GENERIC
         self.mode: int | None = None
         self.commanded_mode: int | None = None
         self.armed = False
@@ -359,6 +361,7 @@ class Vehicle:
             self.armed, self._arming_reports = armed, 0
 
     def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
+        self.kind = message.type
         self._set_armed(now_s, armed=bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED))
         self._set_mode(message.custom_mode)
         self._apply(PhaseEvent.HEARD, now_s)

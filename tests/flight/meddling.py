@@ -93,7 +93,6 @@ class OneOf:
         outbound: which direction.
         number: which of them, counted from 0.
         late_s: when it comes a second time, after the first [s]; None: it is lost.
-        frame_of: only of this vehicle, if given.
     """
 
     def __init__(self, message_id: int, number: int, late_s: float | None, *, outbound: bool) -> None:

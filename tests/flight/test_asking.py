@@ -19,6 +19,8 @@ from fg_gcs.wire.autopilots import PX4
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.commands import arm
 from fg_gcs.wire.dialogue import State
+from fg_gcs.wire.phases import Phase
+from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
 
 
@@ -92,6 +94,22 @@ def test_after_a_failure_nothing_new_is_begun_and_the_others_go_on() -> None:
     times, told = asked([[(0.1, True), (0.5, False), (0.1, False)], [(1.0, False), (0.2, True)]], 2)
     assert [len(of_one) for of_one in times] == [2, 2]
     assert told == "vehicle 1 did not want to; vehicle 2 did not want to"
+
+
+def test_of_a_vehicle_that_is_lost_nothing_more_is_waited_for() -> None:
+    """Parameters are asked for longer than all else, but not of one that is silent."""
+
+    async def run() -> float:
+        time = asyncio.get_running_loop().time
+        vehicle = Vehicle(VehicleAddress(MAIN, 7), PX4, 0.0)
+        vehicle.phase = Phase.LOST
+        with pytest.raises(VehicleError, match="did not arm within 12 s"):
+            await Fleet(await Router.open({}), [vehicle]).ask([vehicle], lambda one: [reading, arm()], 2)
+        return time()
+
+    reading = ReadParameters((Wanted(("FS_GCS_ENABLE",), needed=True),))
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        assert runner.run(run()) < 13.0
 
 
 def test_a_vehicle_that_is_not_there_is_told_after_the_deadline() -> None:

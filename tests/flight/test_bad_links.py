@@ -67,7 +67,7 @@ def test_no_flight_begins_without_its_failsafe(autopilot: str, tmp_path: Path) -
     assert f"vehicle 3 did not tell its parameter {name} within 30 s, but tells " in flight.result.reason
 
 
-@pytest.mark.parametrize("late_s", [12.0, 13.0, 17.0, 20.5])
+@pytest.mark.parametrize("late_s", [12.0, 17.0])
 def test_a_heartbeat_from_before_arming_ends_no_flight(late_s: float, tmp_path: Path) -> None:
     one = OneOf(dialect.MAVLINK_MSG_ID_HEARTBEAT, 5, late_s, outbound=False)
     flight = fly(tmp_path, "px4", loop=lambda: MeddlingLoop(one))

@@ -31,10 +31,15 @@ def addresses(*system_ids: int) -> tuple[VehicleAddress, ...]:
     return tuple(VehicleAddress(MAIN, system_id) for system_id in system_ids)
 
 
-def vehicles(system_ids: Iterator[int] | list[int], armed: frozenset[int] = frozenset()) -> list[Vehicle]:
+def vehicles(
+    system_ids: Iterator[int] | list[int],
+    armed: frozenset[int] = frozenset(),
+    fixed_wings: frozenset[int] = frozenset(),
+) -> list[Vehicle]:
     heard = [Vehicle(address, PX4, 0.0) for address in addresses(*system_ids)]
     for vehicle in heard:
         vehicle.armed = vehicle.system_id in armed
+        vehicle.kind = 1 if vehicle.system_id in fixed_wings else 2
     return heard
 
 
@@ -54,7 +59,7 @@ def test_an_armed_vehicle_flies_only_if_it_is_named(ids: set[int], armed: frozen
 
 @given(st.sets(st.integers(1, 250), min_size=2, max_size=12), st.frozensets(st.integers(1, 250)), st.booleans())
 def test_every_vehicle_heard_is_told_of_once(ids: set[int], armed: frozenset[int], named: bool) -> None:
-    heard = vehicles(sorted(ids), armed)
+    heard = vehicles(sorted(ids), armed, frozenset({system_id for system_id in ids if system_id % 3 == 0}))
     wanted = addresses(min(ids)) if named else None
     said = who_flies(heard, choose(heard, 3, wanted), wanted)
     told = [
@@ -71,6 +76,10 @@ def test_the_line_about_who_flies() -> None:
     heard = vehicles([10, 200, *range(1, 10)], frozenset({200}))
     said = who_flies(heard, choose(heard, 9, None), None)
     assert said == "vehicles 1-9 fly; vehicle 200 is armed already; vehicle 10 is not needed"
+    heard = vehicles([1, 2, 3, 4], frozenset({2}), frozenset({1, 2}))
+    said = who_flies(heard, choose(heard, 2, None), None)
+    assert said == "vehicles 3-4 fly; vehicle 2 is armed already; vehicle 1 is no multirotor"
+    heard = vehicles([10, 200, *range(1, 10)])
     wanted = addresses(1, 2)
     assert who_flies(heard, wanted, wanted) == "vehicles 1-2 fly; vehicles 3-10, 200 are not named by the mission"
 

@@ -70,7 +70,7 @@ def flown(case: Case, folder: Path) -> Flight:
     return flight
 
 
-@pytest.mark.parametrize("case", random.Random(11).sample(list(cases(1, 11)), 10), ids=str)
+@pytest.mark.parametrize("case", random.Random(11).sample(list(cases(1, 11)), 6), ids=str)
 def test_one_datagram_lost_or_doubled_changes_nothing(case: Case, tmp_path: Path) -> None:
     flight = flown(case, tmp_path)
     assert flight.result is not None
@@ -80,8 +80,7 @@ def test_one_datagram_lost_or_doubled_changes_nothing(case: Case, tmp_path: Path
     assert flight.truth_separation_m >= 1.4
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-@pytest.mark.parametrize("late_s", [1.0, 3.0])
+@pytest.mark.parametrize(("autopilot", "late_s"), [("px4", 3.0), ("ardupilot", 1.0)])
 def test_all_telemetry_a_second_time_and_late_changes_nothing(late_s: float, autopilot: str, tmp_path: Path) -> None:
     def judge(datagram: Datagram) -> list[float]:
         return [LATENCY_S] if datagram.outbound else [LATENCY_S, LATENCY_S + late_s]
