@@ -28,7 +28,8 @@ def flux_metric(rims_enu_m: Array, sources_enu_m: Array) -> Array:
 def coverage(rims_enu_m: Array, sources_enu_m: Array) -> Array:
     """Return the flux divided by the largest that this face could have at this distance, clipped to [0, 1].
 
-    The largest is that of the same rim, turned so that the source lies on the normal through its centre.
+    The largest is that of the same rim, turned so that the source lies on the normal through its centre. A rim that has
+    folded so that no flux passes it even then covers nothing.
 
     Args:
         rims_enu_m: leaders over time, shape (T, N, 3) [m].
@@ -40,7 +41,8 @@ def coverage(rims_enu_m: Array, sources_enu_m: Array) -> Array:
     centres = rims_enu_m.mean(axis=1)
     distances = np.linalg.norm(np.asarray(sources_enu_m) - centres, axis=1)
     best = solid_angle.flux(rims_enu_m, (centres + distances[:, None] * normals(rims_enu_m))[:, None, :])
-    return np.clip(_flux(rims_enu_m, sources_enu_m) / np.maximum(best, np.finfo(float).tiny), 0.0, 1.0)
+    share = np.divide(_flux(rims_enu_m, sources_enu_m), best, out=np.zeros_like(best), where=best > np.finfo(float).eps)
+    return np.clip(share, 0.0, 1.0)
 
 
 def least_after_facing(covered: Array) -> float | None:

@@ -12,7 +12,8 @@ from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.policy import Care
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.link.clock import ticks
-from fg_gcs.wire.commands import Dialogue, Request, State, disarm, land
+from fg_gcs.wire.commands import disarm, land
+from fg_gcs.wire.dialogue import Dialogue, Request, State
 from fg_gcs.wire.messages import HEARTBEAT
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
@@ -114,8 +115,7 @@ class Descents:
             descent.dialogue = None if request is None else Dialogue(vehicle, request)
         if descent.dialogue is None:
             return
-        message = descent.dialogue.step(now_s)
-        if message is not None:
+        for message in descent.dialogue.step(now_s):
             self._fleet.router.send_message(vehicle.address, message)
         state = descent.dialogue.state
         if state is State.REFUSED:

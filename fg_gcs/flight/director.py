@@ -16,6 +16,7 @@ from fg_gcs.errors import FgError, MissionError, PlanError, VehicleError
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.custody import Custody
 from fg_gcs.flight.descents import Descents
+from fg_gcs.flight.discovery import discover
 from fg_gcs.flight.fleet import STEP_S, Fleet
 from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.journal import Journal
@@ -31,7 +32,7 @@ from fg_gcs.flight.policy import (
     refused,
     respond,
 )
-from fg_gcs.flight.preparation import Failsafes, discover, prepare, vehicle_limits
+from fg_gcs.flight.preparation import Failsafes, prepare, vehicle_limits
 from fg_gcs.flight.safety import Bounds
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.sortie import Sortie
@@ -382,7 +383,7 @@ class Director:
     async def _connect(self, router: Router, wanted: tuple[VehicleAddress, ...] | None) -> Fleet:
         setup, count = self._setup, self.mission.swarm.vehicles
         with self.journal.in_stage("connect"):
-            found = await discover(router, setup.networks, count, wanted, setup.wait_s)
+            found = await discover(router, setup.networks, count, wanted, setup.wait_s, self.journal)
             router.tell_shortages()
             self.fleet = self._link_recorder.fleet = Fleet(router, found)
             self.result.vehicles = tuple(self.fleet.row_of)
@@ -394,7 +395,7 @@ class Director:
         """Get the fleet ready; return the mission's task under the limits that the vehicles really have."""
         task = self.mission.task()
         await prepare(fleet, self.journal)
-        limits = await vehicle_limits(fleet, task.rules.limits, self.journal)
+        limits = vehicle_limits(fleet, task.rules.limits, self.journal)
         failsafes.append(Failsafes(fleet, self.journal))
         await failsafes[0].set()
         origin = self.mission.origin_geodetic() if self._knows_origin else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Iterable, Sequence
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,9 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
 from fg_gcs.record.write.layouts import TELEMETRY
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
-from fg_gcs.wire.commands import Dialogue, Request, State
+from fg_gcs.wire.codec import Message
+from fg_gcs.wire.dialogue import Exchange, Question, State
+from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.states import StateTable
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -141,38 +144,67 @@ class Fleet:
             self._addressed = rows, addresses
         return addresses
 
-    async def ask(self, vehicles: Iterable[Vehicle], script: Callable[[Vehicle], Iterable[Request]]) -> None:
-        """Work through each vehicle's requests, one after the other, all vehicles side by side.
+    async def ask(
+        self, vehicles: Iterable[Vehicle], script: Callable[[Vehicle], Iterable[Question]], at_once: int = 1
+    ) -> None:
+        """Work through each vehicle's questions in their order, all vehicles side by side.
+
+        Args:
+            vehicles: whom to ask.
+            script: the questions for a vehicle; each is taken out when it can be asked.
+            at_once: how many questions a vehicle may have at a time; more than one if their answers cannot be confused.
 
         Raises:
-            VehicleError: one line with every request that was refused or timed out; the others were finished first.
+            VehicleError: one line with everything that was refused or timed out; all else was finished first.
         """
-        failures: list[str] = []
-        scripts = [(vehicle, iter(script(vehicle))) for vehicle in vehicles]
-        running = [self._next(vehicle, requests) for vehicle, requests in scripts]
+        running = [_Script(vehicle, script(vehicle), at_once) for vehicle in vehicles]
         loop = asyncio.get_running_loop()
         async for _ in ticks(loop.time(), STEP_S):
-            for index, (vehicle, requests) in enumerate(scripts):
-                dialogue = running[index]
-                if dialogue is None:
-                    continue
-                message = dialogue.step(loop.time())
-                if message is not None:
-                    self.router.send_message(vehicle.address, message)
-                if dialogue.state is State.DONE:
-                    running[index] = self._next(vehicle, requests)
-                elif dialogue.state is not State.PENDING:
-                    failures.append(dialogue.reason)
-                    running[index] = None
-            if not any(running):
+            for one in running:
+                for message in one.step(loop.time()):
+                    self.router.send_message(one.vehicle.address, message)
+            if all(one.done for one in running):
                 break
+        failures = [reason for one in running for reason in one.failures]
         if failures:
             raise VehicleError("; ".join(failures))
 
-    @staticmethod
-    def _next(vehicle: Vehicle, requests: Iterable[Request]) -> Dialogue | None:
-        request = next(iter(requests), None)
-        return None if request is None else Dialogue(vehicle, request)
+
+class _Script:
+    """What one vehicle is asked, some of it at a time; after a failure nothing new is begun.
+
+    Attributes:
+        vehicle: whom it is for.
+        failures: a line for each question that was refused or timed out.
+        done: nothing is asked any more.
+    """
+
+    def __init__(self, vehicle: Vehicle, questions: Iterable[Question], at_once: int) -> None:
+        self.vehicle = vehicle
+        self.failures: list[str] = []
+        self.done = False
+        self._questions = iter(questions)
+        self._at_once = at_once
+        self._asked: list[Exchange] = []
+
+    def step(self, now_s: float) -> list[Message]:
+        """Return the messages to send now."""
+        if self.done:
+            return []
+        messages: list[Message] = []
+        for exchange in self._asked:
+            messages += exchange.step(now_s)
+        self.failures += [one.reason for one in self._asked if one.state in (State.REFUSED, State.TIMED_OUT)]
+        self._asked = [one for one in self._asked if one.state is State.PENDING]
+        if self.failures and self.vehicle.phase is Phase.LOST:
+            self._asked.clear()  # what takes its time for vehicles that are heard
+        if not self.failures:
+            for question in islice(self._questions, self._at_once - len(self._asked)):
+                exchange = question.dialogue(self.vehicle)
+                messages += exchange.step(now_s)
+                self._asked.append(exchange)
+        self.done = not self._asked
+        return messages
 
 
 class NotInTime(VehicleError):

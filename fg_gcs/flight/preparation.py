@@ -1,78 +1,55 @@
-"""On the ground: find the vehicles, ask for their streams, learn frames and limits, set failsafes, wait until ready."""
+"""On the ground: ask for the vehicles' streams, wait until they are ready, learn origins and limits, set failsafes."""
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from fg_gcs.errors import LinkError, VehicleError
-from fg_gcs.flight.fleet import STEP_S, Fleet, NotInTime, until
+from fg_gcs.errors import VehicleError
+from fg_gcs.flight.fleet import Fleet, NotInTime, until
 from fg_gcs.flight.journal import Journal
-from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Endpoint
-from fg_gcs.link.router import Router
 from fg_gcs.plan.limits import Limits
-from fg_gcs.wire.address import VehicleAddress, names, vehicles_named
-from fg_gcs.wire.autopilots import FailsafeParameter, TakeOff
-from fg_gcs.wire.commands import (
-    Request,
-    read_parameter,
-    request_origin,
-    set_message_interval,
-    set_mode,
-    write_parameter,
-)
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
+from fg_gcs.wire.autopilots import AutopilotProfile, FailsafeParameter, TakeOff
+from fg_gcs.wire.commands import request_origin, set_message_interval, set_mode, write_parameter
+from fg_gcs.wire.dialogue import Question
+from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
 
 READY_S = 90.0  # ArduCopter needs 41 s from its boot until it can arm; twice that for a slow machine
 TELEMETRY_HZ = (25.0, 10.0)  # of positions: for small swarms, and for those of more than MANY vehicles
 MANY = 50
-
-
-async def discover(
-    router: Router,
-    networks: Mapping[str, Sequence[Endpoint]],
-    count: int,
-    wanted: Sequence[VehicleAddress] | None,
-    wait_s: float,
-) -> list[Vehicle]:
-    """Wait for the mission's vehicles, at most ``wait_s``; without wanted ones, for as many as it needs.
-
-    Raises:
-        LinkError: too few vehicles answered; names the endpoints tried.
-    """
-    start_s = asyncio.get_running_loop().time()
-    async for k, late_s in ticks(start_s, STEP_S):
-        heard = [address for address in wanted or router.vehicles if address in router.vehicles]
-        if len(heard) >= count:
-            return [router.vehicles[address] for address in sorted(heard)[:count]]
-        if k * STEP_S + late_s >= wait_s:
-            break
-    tried = ", ".join(str(endpoint) for endpoints in networks.values() for endpoint in endpoints)
-    if not router.vehicles:
-        raise LinkError(f"no vehicle answered within {wait_s:g} s at {tried}; is it running and sending there?")
-    answered = f"only {vehicles_named(router.vehicles)} answered within {wait_s:g} s at {tried}"
-    raise LinkError(f"{answered}; the mission needs {names(wanted) if wanted else f'{count} of them'}")
+AT_ONCE = 8  # questions to one vehicle at a time: streams and parameters tell themselves apart by ids and names
 
 
 async def prepare(fleet: Fleet, journal: Journal) -> None:
-    """Get every vehicle ready to arm, its streams flowing and its origin known.
+    """Get every vehicle ready to arm, its streams flowing, its origin and its limits and failsafes known.
 
-    ArduPilot's readiness counts for its present mode only, so it is put into its streaming mode first.
+    Readiness counts for the present mode only. So ArduPilot is put into its streaming mode first. PX4 still stands in
+    that after a flight that its own failsafe ended, and is never ready there without setpoints: it is put into the mode
+    that it waits in.
 
     Raises:
-        VehicleError: a vehicle refused something needed, or is not ready in time; says why as far as it told.
+        VehicleError: a vehicle refused something needed, does not tell a parameter (that of a limit may be unknown to
+            its firmware, but not a failsafe that we set), or is not ready in time; says why as far as it told.
     """
 
-    def script(vehicle: Vehicle) -> Iterator[Request]:
+    def streams(vehicle: Vehicle) -> Iterator[Question]:
+        yield ReadParameters(parameters_of(vehicle.profile))
         rate_hz = TELEMETRY_HZ[len(fleet.vehicles) > MANY]
         for stream in vehicle.profile.streams(rate_hz):
             yield set_message_interval(stream.message_id, stream.rate_hz, optional=not stream.needed)
-        if vehicle.profile.take_off is TakeOff.BY_COMMAND:
-            yield set_mode(vehicle.profile.streaming_mode)
 
-    await fleet.ask(fleet.vehicles, script)
+    def mode(vehicle: Vehicle) -> Iterator[Question]:
+        profile = vehicle.profile
+        if profile.take_off is TakeOff.BY_COMMAND:
+            yield set_mode(profile.streaming_mode)
+        elif vehicle.mode == profile.streaming_mode and not vehicle.prearm_ok:
+            yield set_mode(profile.waiting_mode)
+
+    await fleet.ask(fleet.vehicles, streams, AT_ONCE)
+    _refuse_armed(fleet)
+    await fleet.ask(fleet.vehicles, mode)
     try:
         await until(
             lambda: [vehicle for vehicle in fleet.vehicles if not (vehicle.armed or _ready(vehicle))],
@@ -81,11 +58,26 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
         )
     except NotInTime as error:
         raise VehicleError(not_ready(error.waiting)) from error
+    _refuse_armed(fleet)
+    await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
+    journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")
+
+
+def parameters_of(profile: AutopilotProfile) -> tuple[Wanted, ...]:
+    """Return the parameters that must be known before a vehicle flies."""
+    limits = (Wanted(tuple(limit.names), needed=False) for limit in profile.limits)
+    return (*limits, *(Wanted((one.name,), needed=one.wanted is not None) for one in profile.failsafes))
+
+
+def _refuse_armed(fleet: Fleet) -> None:
+    """Leave alone what somebody else has armed.
+
+    Raises:
+        VehicleError: names the vehicles.
+    """
     armed = [vehicle.address for vehicle in fleet.vehicles if vehicle.armed]
     if armed:
         raise VehicleError(f"armed already, by another ground station: {vehicles_named(armed)}")
-    await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
-    journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")
 
 
 def _ready(vehicle: Vehicle) -> bool:
@@ -102,27 +94,17 @@ def not_ready(waiting: Sequence[Vehicle]) -> str:
     return f"not ready to arm within {READY_S:g} s: {', '.join(groups)}"
 
 
-async def vehicle_limits(fleet: Fleet, limits: Limits, journal: Journal) -> Limits:
-    """Return the mission's limits, lowered to what the vehicles' own parameters allow.
+def vehicle_limits(fleet: Fleet, limits: Limits, journal: Journal) -> Limits:
+    """Return the mission's limits, lowered to what the vehicles' own parameters allow, as `prepare` has read them.
+
+    Where a firmware has no such parameter the limit stays the mission's.
 
     Jerk is among them where an autopilot shapes streamed setpoints by it. ArduCopter does in GUIDED: whatever the mask,
     targets pass the position controller's input shaping, whose jerk is ``PSC_JERK_XY``; plans beyond it are flown with
     a lag and overshot (measured, see docs/autopilots). ``WPNAV_JERK`` shapes its own waypoint legs only. PX4 shapes
     nothing in OFFBOARD: setpoints go straight to the position controller, and ``MPC_JERK_MAX`` and ``MPC_JERK_AUTO``
     belong to its manual and automatic modes.
-
-    Raises:
-        VehicleError: never for an unknown parameter: firmwares differ; its limit then stays the mission's.
     """
-
-    def script(vehicle: Vehicle) -> Iterator[Request]:
-        for limit in vehicle.profile.limits:
-            for name in limit.names:
-                if not any(known in vehicle.params for known in limit.names):
-                    # ArduPilot meets an unknown name with silence; a known one it answers within 0.1 s
-                    yield replace(read_parameter(name, optional=True), resend_s=0.3, deadline_s=1.0)
-
-    await fleet.ask(fleet.vehicles, script)
     lowest: dict[str, tuple[float, str, VehicleAddress]] = {}
     for vehicle in fleet.vehicles:
         for limit in vehicle.profile.limits:
@@ -148,15 +130,12 @@ class Failsafes:
         self._found: list[tuple[Vehicle, str, float]] = []
 
     async def set(self) -> None:
-        """Read every failsafe parameter, change those that are unsafe for a swarm, and say what was found and changed.
+        """Change those failsafes that are unsafe for a swarm, as `prepare` has read them; say what was found and set.
 
         Raises:
-            VehicleError: a vehicle keeps its unsafe value.
+            VehicleError: a vehicle keeps an unsafe value; names vehicle and parameter.
         """
         vehicles = self._fleet.vehicles
-        await self._fleet.ask(
-            vehicles, lambda vehicle: [read_parameter(f.name, optional=True) for f in vehicle.profile.failsafes]
-        )
         self._found = [
             (vehicle, failsafe.name, vehicle.params[failsafe.name])
             for vehicle in vehicles
@@ -171,6 +150,7 @@ class Failsafes:
                 for failsafe in vehicle.profile.failsafes
                 if failsafe.wanted is not None and _to_change(vehicle, failsafe)
             ],
+            AT_ONCE,
         )
         self._report()
 
@@ -185,6 +165,7 @@ class Failsafes:
         await self._fleet.ask(
             [vehicle for vehicle in heard if not vehicle.armed],
             lambda vehicle: [write_parameter(name, value) for owner, name, value in self._found if owner is vehicle],
+            AT_ONCE,
         )
 
     def _keep(self) -> None:

@@ -25,7 +25,8 @@ from fg_gcs.plan.landing import part, with_room
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.verification import check
 from fg_gcs.wire.address import vehicles_named
-from fg_gcs.wire.commands import Request, request_origin, set_message_interval, set_mode
+from fg_gcs.wire.commands import request_origin, set_message_interval, set_mode
+from fg_gcs.wire.dialogue import Request
 from fg_gcs.wire.vehicle import Vehicle
 
 STREAM_HZ = 20.0  # setpoints

@@ -27,8 +27,10 @@ from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, is_alive, 
 from fg_gcs.record.write.recorder import MISSION, Recorder, make_folder
 from fg_gcs.run.observing import Observer
 from fg_gcs.wire.address import MAIN
-from fg_gcs.wire.commands import Request, read_parameter, write_parameter
+from fg_gcs.wire.commands import write_parameter
+from fg_gcs.wire.dialogue import Question
 from fg_gcs.wire.params import same
+from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
 
 DEFAULT: Final = "udpin:127.0.0.1:14550"
@@ -185,7 +187,7 @@ async def _put_back(router: Router, vehicle: Vehicle, kept: Kept, parameters: Ke
     fleet = Fleet(router, [vehicle])
     said = []
     try:
-        await fleet.ask([vehicle], lambda _: [read_parameter(name) for name in kept.set])
+        await fleet.ask([vehicle], _only(ReadParameters(tuple(Wanted((name,), needed=True) for name in kept.set))))
         for name, value in kept.set.items():
             now = vehicle.params[name]
             if not same(now, value):
@@ -202,7 +204,7 @@ async def _put_back(router: Router, vehicle: Vehicle, kept: Kept, parameters: Ke
     return text
 
 
-def _only(request: Request) -> Callable[[Vehicle], Iterable[Request]]:
+def _only(request: Question) -> Callable[[Vehicle], Iterable[Question]]:
     """A script of one request."""
     return lambda _: [request]
 

@@ -15,6 +15,19 @@ from fg_gcs.wire.codec import Message
 from fg_gcs.wire.messages import Heartbeat
 from fg_gcs.wire.params import Encoding
 
+MULTIROTORS: Final = frozenset(  # MAV_TYPE of what can hover and take our setpoints
+    {
+        dialect.MAV_TYPE_QUADROTOR,
+        dialect.MAV_TYPE_COAXIAL,
+        dialect.MAV_TYPE_HELICOPTER,
+        dialect.MAV_TYPE_HEXAROTOR,
+        dialect.MAV_TYPE_OCTOROTOR,
+        dialect.MAV_TYPE_TRICOPTER,
+        dialect.MAV_TYPE_DODECAROTOR,
+        dialect.MAV_TYPE_DECAROTOR,
+    }
+)
+
 _QUIET_HZ: Final = -1.0  # negative rate: switch the stream off
 
 
@@ -79,6 +92,7 @@ class AutopilotProfile:
         autopilot: MAV_AUTOPILOT of its heartbeat.
         modes: Custom mode numbers by readable name.
         streaming_mode: Mode in which position targets are obeyed.
+        waiting_mode: Mode to stand in on the ground: it needs neither a pilot nor setpoints.
         land_mode: Mode that lands here.
         hovering_modes: Modes that stay where they are.
         stream_timeout: The parameter that says for how long a vehicle goes on without setpoints, and its default [s].
@@ -94,6 +108,7 @@ class AutopilotProfile:
     autopilot: int
     modes: Mapping[str, int]
     streaming_mode: int
+    waiting_mode: int
     land_mode: int
     hovering_modes: frozenset[int]
     stream_timeout: tuple[str, float]
@@ -182,6 +197,7 @@ PX4: Final = AutopilotProfile(
     autopilot=dialect.MAV_AUTOPILOT_PX4,
     modes=MappingProxyType(_PX4_MODES),
     streaming_mode=_PX4_MODES["OFFBOARD"],
+    waiting_mode=_PX4_MODES["LOITER"],
     land_mode=_PX4_MODES["LAND"],
     hovering_modes=frozenset({_PX4_MODES["LOITER"], _PX4_MODES["POSCTL"], _PX4_MODES["ALTCTL"]}),
     stream_timeout=("COM_OF_LOSS_T", 1.0),
@@ -217,6 +233,7 @@ ARDUPILOT: Final = AutopilotProfile(
     autopilot=dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
     modes=MappingProxyType(_ARDUPILOT_MODES),
     streaming_mode=_ARDUPILOT_MODES["GUIDED"],
+    waiting_mode=_ARDUPILOT_MODES["GUIDED"],
     land_mode=_ARDUPILOT_MODES["LAND"],
     hovering_modes=frozenset(_ARDUPILOT_MODES[name] for name in ("ALT_HOLD", "LOITER", "POSHOLD", "BRAKE")),
     stream_timeout=("GUID_TIMEOUT", 3.0),

@@ -22,8 +22,9 @@ from fg_gcs.wire.messages import READERS
 GCS_SYSTEM: Final = 255  # ArduPilot's GCS failsafe listens to heartbeats of this system only
 GCS_COMPONENT: Final = 190  # MAV_COMP_ID_MISSIONPLANNER: PX4 explains a refused OFFBOARD only to this component
 
+MAGIC_V2: Final = 0xFD  # first byte of a frame of MAVLink 2
+
 _MAGIC_V1: Final = 0xFE
-_MAGIC_V2: Final = 0xFD
 _find_magic: Final = re.compile(b"[\xfd\xfe]").search
 _HEADER_V1_BYTES: Final = 6
 _HEADER_V2_BYTES: Final = 10
@@ -89,7 +90,7 @@ class Frame(NamedTuple):
 
     def get_seq(self) -> int:
         """Sequence number."""
-        return self.raw[4] if self.raw[0] == _MAGIC_V2 else self.raw[2]
+        return self.raw[4] if self.raw[0] == MAGIC_V2 else self.raw[2]
 
     def get_srcSystem(self) -> int:
         """System id of the sender."""
@@ -141,7 +142,7 @@ class Codec:
         start = 0
         while start < size:
             magic = buffer[start]
-            if magic not in (_MAGIC_V1, _MAGIC_V2):
+            if magic not in (_MAGIC_V1, MAGIC_V2):
                 found = _find_magic(buffer, start)
                 after = size if found is None else found.start()
                 self.bad_bytes += after - start
@@ -168,7 +169,7 @@ class Codec:
 
     def _frame(self, buffer: bytes, start: int, end: int) -> Frame | None:
         """Frame of the complete bytes ``[start, end)``, None if it does not check out."""
-        if buffer[start] == _MAGIC_V2:
+        if buffer[start] == MAGIC_V2:
             length, _, _, _, system_id, component_id, low, high = _unpack_v2(buffer, start)
             message_id, begin = low | high << 16, start + _HEADER_V2_BYTES
         else:
@@ -177,7 +178,7 @@ class Codec:
         behind, crc_extra = begin + length, _CRC_EXTRAS.get(message_id)
         if crc_extra is None:
             # Without the dialect's extra byte its checksum verifies nothing: it counts if a frame, or nothing, follows.
-            if end < len(buffer) and buffer[end] not in (_MAGIC_V1, _MAGIC_V2):
+            if end < len(buffer) and buffer[end] not in (_MAGIC_V1, MAGIC_V2):
                 return None
             self.unknown_messages += 1
         elif _checksum(buffer[start + 1 : behind] + crc_extra) != buffer[behind] | buffer[behind + 1] << 8:

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, NamedTuple
 
@@ -13,6 +13,7 @@ from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import AutopilotProfile, profile_of
 from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Frame, Message
 from fg_gcs.wire.messages import Attitude, CurrentMode, ExtendedSysState, Heartbeat, LocalPositionNed, SysStatus
+from fg_gcs.wire.order import FrameOrder
 from fg_gcs.wire.phases import Phase, PhaseEvent, following
 from fg_gcs.wire.states import State, StateTable
 from fg_gcs.wire.texts import Text, TextAssembler
@@ -21,8 +22,25 @@ LOST_AFTER_S: Final = 3.0  # three heartbeats at 1 Hz: one lost datagram is no l
 MOST_PARAMETERS: Final = 4096  # real autopilots have up to 1,350; a flood of made-up names must not fill the memory
 QUEUE_LENGTH: Final = 512  # texts and changes kept for whoever reads them; the oldest go first
 
+ARMING: Final = "arm"  # name of the request for it
+OVERTAKING_S: Final = 0.6  # what was sent so long before a heartbeat came had arrived when that heartbeat was sent
+RESTART_S: Final = 0.3  # positions of a clock that went back, without any other, for so long: it has started again
+_ARMS_S: Final = 5.0  # a vehicle that was asked to arm does so within that, if it does
+EVIDENCE: Final = 2  # reports in a row that it takes to believe what starts an alarm: one datagram may be a stale one
+
 _AIRBORNE: Final = frozenset(
     {dialect.MAV_LANDED_STATE_TAKEOFF, dialect.MAV_LANDED_STATE_IN_AIR, dialect.MAV_LANDED_STATE_LANDING}
+)
+
+_IN_FLIGHT: Final = frozenset({Phase.FLYING, Phase.LANDING, Phase.TAKEN})
+_STATES: Final = frozenset(  # what is said anew all the time: only the last word counts; positions have stamps for that
+    {
+        dialect.MAVLINK_MSG_ID_HEARTBEAT,
+        dialect.MAVLINK_MSG_ID_CURRENT_MODE,
+        dialect.MAVLINK_MSG_ID_SYS_STATUS,
+        dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        dialect.MAVLINK_MSG_ID_ATTITUDE,
+    }
 )
 
 Vector = tuple[float, float, float]
@@ -34,10 +52,12 @@ class Ack(NamedTuple):
     Attributes:
         result: MAV_RESULT.
         at_s: When it came [s].
+        place: Of its frame among the vehicle's others: the newest is the one that was sent last.
     """
 
     result: int
     at_s: float
+    place: int
 
 
 class ParamError(NamedTuple):
@@ -49,6 +69,18 @@ class ParamError(NamedTuple):
     """
 
     error: int
+    at_s: float
+
+
+class Interval(NamedTuple):
+    """How often the vehicle says that it sends one message on our link.
+
+    Attributes:
+        interval_us: Time between two of them [us]; zero or negative: never.
+        at_s: When it said so [s].
+    """
+
+    interval_us: int
     at_s: float
 
 
@@ -99,6 +131,7 @@ class Vehicle:
         phase: Where it is in its flight.
         changes: Phase changes, for whoever takes them out (`deque.popleft`).
         texts: Whole status texts, for whoever takes them out.
+        kind: MAV_TYPE, 0 before the first heartbeat.
         mode: Custom mode, None before the first heartbeat. The newest of HEARTBEAT and CURRENT_MODE.
         commanded_mode: The mode that we put it in; any other mode, once that one was seen, is a take-over.
         armed: Motors armed.
@@ -112,6 +145,8 @@ class Vehicle:
         param_at_s: When they came [s].
         param_errors: Newest refusal by parameter name.
         acks: Newest acknowledgement by command, of those addressed to us.
+        intervals: Newest word on each stream by message id.
+        asked_at_s: When it was last sent a request [s], by the request's name and by what its answers are told by.
         message_at_s: Loop time of the newest message by message id [s].
         heard_at_s: Loop time of the newest message [s].
     """
@@ -123,6 +158,7 @@ class Vehicle:
         self.changes: deque[PhaseChange] = deque(maxlen=QUEUE_LENGTH)
         self.texts: deque[Text] = deque(maxlen=QUEUE_LENGTH)
         self.recent_texts: deque[Text] = deque(maxlen=16)  # why a request was refused: a few lines
+        self.kind: int = dialect.MAV_TYPE_GENERIC
         self.mode: int | None = None
         self.commanded_mode: int | None = None
         self.armed = False
@@ -136,11 +172,19 @@ class Vehicle:
         self.param_at_s: dict[str, float] = {}
         self.param_errors: dict[str, ParamError] = {}
         self.acks: dict[int, Ack] = {}
+        self.intervals: dict[int, Interval] = {}
+        self.asked_at_s: dict[Hashable, float] = {}
         self.message_at_s: dict[int, float] = {}
         self.heard_at_s = now_s
         self._states, self._row = StateTable(1), 0
         self._assembler = TextAssembler()
         self._accepted_modes: frozenset[int | None] | None = None  # None: nothing commanded, nothing to take over
+        self._order = FrameOrder()
+        self._index = 0  # of the frame that is being read
+        self._newest: dict[int | str, int] = {}  # indices of the newest frames that told of one thing
+        self._arming_reports = self._foreign_modes = 0  # reports in a row
+        self._clock_ms = 0  # time stamp of the newest position
+        self._restart: tuple[int, float] | None = None  # the same of one that is older; since when such ones come [s]
 
     @property
     def system_id(self) -> int:
@@ -195,6 +239,12 @@ class Vehicle:
         return None if math.isnan(yaw_rad) else yaw_rad
 
     @property
+    def may_be_armed(self) -> bool:
+        """Armed as last heard, or asked to arm too lately for its heartbeats to deny it."""
+        heartbeat_at_s = self.message_at_s.get(dialect.MAVLINK_MSG_ID_HEARTBEAT, -math.inf)
+        return self.armed or heartbeat_at_s < self.asked_at_s.get(ARMING, -math.inf) + OVERTAKING_S
+
+    @property
     def airborne(self) -> bool:
         """Off the ground, by its landed state: an acknowledged take-off is not yet one."""
         return self.landed_state in _AIRBORNE
@@ -220,14 +270,33 @@ class Vehicle:
         """
         if frame.component_id != dialect.MAV_COMP_ID_AUTOPILOT1:
             return
-        identity = frame.message_id
+        index = self._order.place(frame, now_s)
+        if index >= 0:
+            self._believe(frame, index, now_s)
+            return
+        for one, index in self._order.released():
+            self._believe(one, index, now_s)
+
+    def _believe(self, frame: Frame, index: int, now_s: float) -> None:
+        identity, self._index = frame.message_id, index
         handler = self._HANDLERS.get(identity)
         if handler is not None:
+            if identity in _STATES:
+                if index <= self._newest.get(identity, -1):
+                    return
+                self._newest[identity] = index
             fields = frame.fields()
             if identity == dialect.MAVLINK_MSG_ID_HEARTBEAT and profile_of(fields) is not self.profile:
                 return
             handler(self, fields, now_s)
         self.heard_at_s = self.message_at_s[identity] = now_s
+
+    def _is_newest(self, thing: int | str) -> bool:
+        """Tell whether what is being read was sent after everything else that told of the same thing."""
+        if self._index <= self._newest.get(thing, -1):
+            return False
+        self._newest[thing] = self._index
+        return True
 
     def watch(self, now_s: float) -> None:
         """Notice silence, and give out texts whose rest never came: call it about once a second."""
@@ -239,6 +308,7 @@ class Vehicle:
         """Say that we command ``mode``: until it is seen, the mode before it is ours as well; then only it is."""
         self.commanded_mode = mode
         self._accepted_modes = frozenset({mode}) if self.mode == mode else frozenset({mode, self.mode})
+        self._foreign_modes = 0
 
     def _judge(self, now_s: float) -> None:
         for event in self._evidence():
@@ -251,8 +321,9 @@ class Vehicle:
             yield PhaseEvent.AIRBORNE
         # On the ground again after our landing it leaves its land mode by itself as it disarms: that is no take-over
         down = self.phase is Phase.LANDING and not self.airborne
-        if self._accepted_modes is not None and self.mode not in self._accepted_modes and not down:
-            yield PhaseEvent.TAKEN_OVER
+        if self._is_foreign(self.mode) and not down:
+            if self._foreign_modes >= EVIDENCE:
+                yield PhaseEvent.TAKEN_OVER
         elif self.mode == self.profile.land_mode:
             yield PhaseEvent.LANDING_BEGAN
         if not self.armed:
@@ -267,13 +338,37 @@ class Vehicle:
         self.texts.extend(texts)
         self.recent_texts.extend(texts)
 
+    def _is_foreign(self, mode: int | None) -> bool:
+        return self._accepted_modes is not None and mode not in self._accepted_modes
+
     def _set_mode(self, mode: int) -> None:
+        if not self._is_newest("mode"):  # HEARTBEAT and CURRENT_MODE may have overtaken each other
+            return
         if mode == self.commanded_mode:
             self._accepted_modes = frozenset({mode})
         self.mode = mode
+        self._foreign_modes = self._foreign_modes + 1 if self._is_foreign(mode) else 0
+
+    def _set_armed(self, now_s: float, *, armed: bool) -> None:
+        """Believe what is expected at once, and anything else when it is said again.
+
+        Expected is that it arms when asked to, and disarms on the ground after its flight.
+        """
+        if armed == self.armed:
+            self._arming_reports = 0
+            return
+        self._arming_reports += 1
+        if armed:
+            asked = now_s - self.asked_at_s.get(ARMING, -math.inf) < _ARMS_S
+            expected = asked or dialect.MAVLINK_MSG_ID_HEARTBEAT not in self.message_at_s  # its first word
+        else:
+            expected = self.phase in _IN_FLIGHT and self.landed_state == dialect.MAV_LANDED_STATE_ON_GROUND
+        if expected or self._arming_reports >= EVIDENCE:
+            self.armed, self._arming_reports = armed, 0
 
     def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
-        self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.kind = message.type
+        self._set_armed(now_s, armed=bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED))
         self._set_mode(message.custom_mode)
         self._apply(PhaseEvent.HEARD, now_s)
         self._judge(now_s)
@@ -297,12 +392,24 @@ class Vehicle:
 
     def _on_position(self, message: LocalPositionNed, now_s: float) -> None:
         time_boot_ms, x, y, z, vx, vy, vz = message
-        if not math.isfinite(x + y + z + vx + vy + vz):
+        if not math.isfinite(x + y + z + vx + vy + vz) or not self._is_of_now(time_boot_ms, now_s):
             return
         self._states.set_motion(self._row, x, y, z, vx, vy, vz, time_boot_ms / 1000.0, now_s)
         self.samples += 1
         if not self.armed:
             self._states.set_ground(self._row, x, y, z)
+
+    def _is_of_now(self, clock_ms: int, now_s: float) -> bool:
+        """Tell whether a stamp goes on from the newest one; one that goes back is believed once it goes on there."""
+        restart, self._restart = self._restart, None
+        if clock_ms < self._clock_ms:
+            if restart is None or clock_ms < restart[0]:
+                restart = (clock_ms, now_s)
+            if now_s - restart[1] < RESTART_S:
+                self._restart = (clock_ms, restart[1])
+                return False
+        self._clock_ms = clock_ms
+        return True
 
     def _on_attitude(self, message: Attitude, now_s: float) -> None:
         if math.isfinite(message.yaw):
@@ -313,14 +420,16 @@ class Vehicle:
 
     def _on_ack(self, message: Message, now_s: float) -> None:
         if message.target_system in (0, GCS_SYSTEM) and message.target_component in (0, GCS_COMPONENT):
-            self.acks[message.command] = Ack(message.result, now_s)
+            known = self.acks.get(message.command)
+            if known is None or known.place < self._index:
+                self.acks[message.command] = Ack(message.result, now_s, self._index)
 
     def _on_text(self, message: Message, now_s: float) -> None:
         self._tell(self._assembler.add(message, now_s))
 
     def _on_param(self, message: Message, now_s: float) -> None:
         name = message.param_id
-        if name not in self.params and len(self.params) >= MOST_PARAMETERS:
+        if (name not in self.params and len(self.params) >= MOST_PARAMETERS) or not self._is_newest(name):
             return
         self.params[name] = params.decode(message, self.profile.encoding)
         self.param_types[name] = message.param_type
@@ -329,6 +438,10 @@ class Vehicle:
     def _on_param_error(self, message: Message, now_s: float) -> None:
         if len(self.param_errors) < MOST_PARAMETERS:
             self.param_errors[message.param_id] = ParamError(message.error, now_s)
+
+    def _on_interval(self, message: Message, now_s: float) -> None:
+        if len(self.intervals) < MOST_PARAMETERS:
+            self.intervals[message.message_id] = Interval(message.interval_us, now_s)
 
     _HANDLERS: ClassVar[Mapping[int, Callable[["Vehicle", Any, float], None]]] = MappingProxyType(
         {
@@ -343,6 +456,7 @@ class Vehicle:
             dialect.MAVLINK_MSG_ID_STATUSTEXT: _on_text,
             dialect.MAVLINK_MSG_ID_PARAM_VALUE: _on_param,
             dialect.MAVLINK_MSG_ID_PARAM_ERROR: _on_param_error,
+            dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL: _on_interval,
         }
     )
 

@@ -16,6 +16,14 @@ def test_coverage_is_one_on_the_axis_and_metric_is_one_in_the_face_and_among_the
     assert normals(rims)[0] == pytest.approx([1, 0, 0])
 
 
+def test_a_folded_rim_covers_nothing() -> None:
+    """Two leaders have changed places, nearly: one half of the face looks where the other does not."""
+    for lean_m in (0.0, 1e-9, -1e-9):
+        rim = np.array([[[0.0, -2.0, -2.0], [0.0, 2.0, 2.0 + lean_m], [0.0, 2.0, -2.0], [0.0, -2.0, 2.0]]])
+        rim[0, 0, 0] = 1e-6  # so that it has a normal at all
+        assert 0.0 <= coverage(rim, np.array([40.0, 20.0, 24.0]))[0] <= 1.0
+
+
 def test_coverage_falls_off_like_the_cosine_far_away() -> None:
     rim = hemisphere(6, 0, 1.0).leaders_m[None]
     for angle in (0.2, 0.7, 1.2):

@@ -9,8 +9,9 @@ from fg_gcs.wire import commands
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec
-from fg_gcs.wire.commands import Dialogue, State
+from fg_gcs.wire.dialogue import Dialogue, State
 from fg_gcs.wire.framing import Sender
+from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
 
 PX4_MODES = {  # main and sub mode, px4_custom_mode.h
@@ -43,17 +44,14 @@ def test_limits_are_metres_but_for_the_old_names_of_ardupilot(profile: Autopilot
 
 def test_take_off_says_its_height_and_leaves_all_else_to_the_vehicle() -> None:
     vehicle = Vehicle(VehicleAddress(MAIN, 4), ARDUPILOT, 0.0)
-    sent = Dialogue(vehicle, commands.take_off(7.5)).step(0.0)
-    assert sent is not None
+    (sent,) = Dialogue(vehicle, commands.take_off(7.5)).step(0.0)
     parameters = [getattr(sent, f"param{number}") for number in range(1, 8)]
     assert (sent.command, sent.confirmation, parameters) == (dialect.MAV_CMD_NAV_TAKEOFF, 0, [0.0] * 6 + [7.5])
 
 
 def test_a_parameter_is_asked_for_by_its_name_alone() -> None:
-    sent = Dialogue(Vehicle(VehicleAddress(MAIN, 4), ARDUPILOT, 0.0), commands.read_parameter("FS_GCS_ENABLE")).step(
-        0.0
-    )
-    assert sent is not None
+    question = ReadParameters((Wanted(("FS_GCS_ENABLE",), needed=True),))
+    (sent,) = question.dialogue(Vehicle(VehicleAddress(MAIN, 4), ARDUPILOT, 0.0)).step(0.0)
     assert (sent.param_id, sent.param_index) == ("FS_GCS_ENABLE", -1)  # any other index would count instead
 
 

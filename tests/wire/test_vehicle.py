@@ -9,7 +9,7 @@ from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec, Message, is_known
 from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
-from fg_gcs.wire.vehicle import LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Origin, Vehicle
+from fg_gcs.wire.vehicle import ARMING, LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, RESTART_S, Origin, Vehicle
 
 PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 ON_GROUND, IN_AIR = dialect.MAV_LANDED_STATE_ON_GROUND, dialect.MAV_LANDED_STATE_IN_AIR
@@ -78,12 +78,14 @@ def test_a_flight_walks_through_the_phases() -> None:
     offboard, land = PX4.streaming_mode, PX4.land_mode
     seen = [probe.heartbeat(PX4.modes["LOITER"], armed=False).phase, probe.prearm(good=True).phase]
     probe.vehicle.command_mode(offboard)
+    probe.vehicle.asked_at_s[ARMING] = probe.now_s
     seen.append(probe.heartbeat(offboard, armed=True).phase)
     probe.landed(ON_GROUND)
     seen.append(probe.landed(IN_AIR).phase)
     probe.vehicle.command_mode(land)
     seen.append(probe.heartbeat(offboard, armed=True).phase)  # still the mode before: not a take-over
     seen.append(probe.hear(dialect.MAVLink_current_mode_message(0, land, land)).phase)
+    probe.landed(ON_GROUND)
     seen.append(probe.heartbeat(PX4.modes["LOITER"], armed=False).phase)
     flying = Phase.FLYING
     assert seen == [Phase.DISCOVERED, Phase.READY, Phase.ARMED, flying, flying, Phase.LANDING, Phase.LANDED]
@@ -104,9 +106,91 @@ def test_any_mode_that_was_not_commanded_is_a_take_over_and_stays_one(profile: A
     for mode in set(profile.modes.values()) - {profile.streaming_mode}:
         probe = flying(profile)
         assert probe.vehicle.phase is Phase.FLYING
+        assert probe.heartbeat(mode, armed=True).phase is Phase.FLYING  # one report may be a stale one
         assert probe.heartbeat(mode, armed=True).phase is Phase.TAKEN
         assert probe.heartbeat(profile.streaming_mode, armed=True).phase is Phase.TAKEN
+        assert probe.heartbeat(profile.streaming_mode, armed=False).phase is Phase.TAKEN
         assert probe.heartbeat(profile.streaming_mode, armed=False).phase is Phase.LANDED
+
+
+def test_one_report_alone_starts_no_alarm() -> None:
+    loiter = PX4.modes["LOITER"]
+    for stray in (
+        dialect.MAVLink_heartbeat_message(2, PX4.autopilot, 0x1D, PX4.streaming_mode, 3, 3),
+        dialect.MAVLink_heartbeat_message(2, PX4.autopilot, 0x9D, loiter, 3, 3),
+        dialect.MAVLink_current_mode_message(0, loiter, loiter),
+    ):
+        probe = flying(PX4)
+        for _ in range(3):
+            assert probe.hear(stray).phase is Phase.FLYING
+            assert probe.vehicle.armed
+            assert probe.heartbeat(PX4.streaming_mode, armed=True).phase is Phase.FLYING
+
+
+def test_two_reports_of_either_kind_are_a_take_over() -> None:
+    probe, rtl = flying(PX4), PX4.modes["RTL"]
+    probe.hear(dialect.MAVLink_current_mode_message(0, rtl, rtl))
+    assert probe.heartbeat(rtl, armed=True).phase is Phase.TAKEN
+
+
+def test_two_reports_are_a_disarming_and_on_the_ground_one() -> None:
+    probe = flying(PX4)
+    assert probe.heartbeat(PX4.streaming_mode, armed=False).phase is Phase.FLYING
+    assert probe.heartbeat(PX4.streaming_mode, armed=False).phase is Phase.LANDED
+    probe = flying(PX4)
+    probe.landed(ON_GROUND)
+    assert probe.heartbeat(PX4.streaming_mode, armed=False).phase is Phase.LANDED
+
+
+def test_an_armed_heartbeat_from_the_past_makes_no_landed_vehicle_an_armed_one() -> None:
+    probe = flying(PX4)
+    probe.landed(ON_GROUND)
+    assert probe.heartbeat(PX4.streaming_mode, armed=False).phase is Phase.LANDED
+    probe.now_s += 30.0
+    assert probe.heartbeat(PX4.streaming_mode, armed=True).phase is Phase.LANDED
+    assert probe.heartbeat(PX4.streaming_mode, armed=False).phase is Phase.LANDED
+    for phase in (Phase.LANDED, Phase.ARMED):  # somebody has armed it
+        assert probe.heartbeat(PX4.streaming_mode, armed=True).phase is phase
+
+
+def test_what_is_overtaken_by_its_like_says_nothing_and_what_comes_twice_neither() -> None:
+    probe, land = Probe(), PX4.land_mode
+    sent = [
+        frame
+        for message in (
+            dialect.MAVLink_heartbeat_message(2, 12, 0x9D, PX4.streaming_mode, 3, 3),
+            dialect.MAVLink_param_value_message(b"COM_OBL_RC_ACT", 0.0, 9, 1, 0),
+            dialect.MAVLink_command_ack_message(176, 0, 0, 0, 255, 190),
+            position(1, 0, 0, 0, 0, 0, time_ms=20),
+            dialect.MAVLink_current_mode_message(0, land, land),
+            dialect.MAVLink_param_value_message(b"COM_OBL_RC_ACT", 4.0, 9, 1, 0),
+            dialect.MAVLink_command_ack_message(176, 1, 0, 0, 255, 190),
+            position(2, 0, 0, 0, 0, 0, time_ms=60),
+        )
+        for frame in probe.codec.receive(probe.sender.pack(message))
+    ]
+    for order in (range(8), (4, 5, 6, 7, 0, 1, 2, 3), (0, 4, 5, 1, 6, 2, 7, 3, 0, 1, 2, 3), (7, 6, 5, 4, 3, 2, 1, 0)):
+        vehicle = Vehicle(VehicleAddress(MAIN, 1), PX4, 0.0)
+        for number, place in enumerate(order):
+            vehicle.handle(sent[place], 0.01 * number)
+        assert (vehicle.mode, vehicle.armed) == (land, True)
+        assert (vehicle.params["COM_OBL_RC_ACT"], vehicle.acks[176].result) == (4.0, 1)
+        assert vehicle.state.north_m == 2.0
+
+
+def test_a_position_of_the_past_is_dropped_and_a_clock_that_starts_again_is_believed() -> None:
+    probe = Probe()
+    probe.hear(position(5, 0, 0, 0, 0, 0, time_ms=9000), position(1, 0, 0, 0, 0, 0, time_ms=100))
+    assert probe.vehicle.state.north_m == 5.0
+    probe.hear(position(6, 0, 0, 0, 0, 0, time_ms=9040), position(1, 0, 0, 0, 0, 0, time_ms=140))
+    assert probe.vehicle.state.north_m == 6.0
+    for number in range(1, 100):
+        probe.now_s += 0.03
+        before = probe.vehicle.samples
+        if probe.hear(position(2, 0, 0, 0, 0, 0, time_ms=140 + 40 * number)).samples > before:
+            break
+    assert number * 0.04 == pytest.approx(RESTART_S, abs=0.05)
+    assert probe.vehicle.boot_time_s == pytest.approx(0.14 + 0.04 * number)
 
 
 def test_the_mode_before_is_ours_only_until_the_commanded_one_was_seen() -> None:
@@ -115,9 +199,9 @@ def test_the_mode_before_is_ours_only_until_the_commanded_one_was_seen() -> None
     probe.vehicle.command_mode(PX4.streaming_mode)
     phases = [
         probe.heartbeat(mode, armed=True).phase
-        for mode in (PX4.modes["LOITER"], PX4.streaming_mode, PX4.modes["LOITER"])
+        for mode in (PX4.modes["LOITER"], PX4.modes["LOITER"], PX4.streaming_mode, *[PX4.modes["LOITER"]] * 2)
     ]
-    assert phases == [Phase.ARMED, Phase.ARMED, Phase.TAKEN]
+    assert phases == [Phase.ARMED] * 4 + [Phase.TAKEN]
 
 
 def test_nothing_is_taken_over_while_nothing_was_commanded() -> None:
@@ -190,7 +274,7 @@ def test_only_acknowledgements_to_us_count_and_the_newest_wins() -> None:
     probe = Probe()
     for result, system, component in ((0, 255, 190), (1, 255, 190), (0, 254, 190), (4, 255, 1)):
         probe.hear(dialect.MAVLink_command_ack_message(176, result, 0, 0, system, component))
-    assert probe.vehicle.acks[176] == (1, 0.02)
+    assert probe.vehicle.acks[176][:2] == (1, 0.02)
     probe.hear(dialect.MAVLink_command_ack_message(176, 0, 0, 0, 0, 0))  # MAVLink 1 has no target
     assert probe.vehicle.acks[176].result == 0
 
