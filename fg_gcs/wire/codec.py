@@ -220,7 +220,7 @@ class Codec:
             if self._datagrams:
                 return 1
             # A stream: wait for the rest, unless this looks like no frame and good ones are held back by it
-            waits = length <= _LENGTHS.get(message_id, -1) or not _good_frame_behind(buffer, start, size)
+            waits = length <= _LENGTHS.get(message_id, -1) or not self._good_frame_behind(buffer, start, size)
             return 0 if waits else 1
         if crc_extra is None:
             # Without the dialect's extra byte its checksum verifies nothing: it counts if a frame, or nothing, follows.
@@ -244,14 +244,14 @@ class Codec:
         )
         return end - start if is_right or end == size or buffer[end] in _MAGICS else 1
 
-
-def _good_frame_behind(buffer: bytes, start: int, size: int) -> bool:
-    """Tell whether a whole known frame that checks out begins somewhere behind ``start``."""
-    probe = Codec(datagrams=True)
-    found = _find_magic(buffer, start + 1)
-    while found is not None:
-        frame = probe._look(buffer, found.start(), size)
-        if isinstance(frame, Frame) and is_known(frame):
-            return True
-        found = _find_magic(buffer, found.start() + 1)
-    return False
+    @classmethod
+    def _good_frame_behind(cls, buffer: bytes, start: int, size: int) -> bool:
+        """Tell whether a whole known frame that checks out begins somewhere behind ``start``."""
+        probe = cls(datagrams=True)
+        found = _find_magic(buffer, start + 1)
+        while found is not None:
+            frame = probe._look(buffer, found.start(), size)
+            if isinstance(frame, Frame) and is_known(frame):
+                return True
+            found = _find_magic(buffer, found.start() + 1)
+        return False
