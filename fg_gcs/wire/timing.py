@@ -1,9 +1,10 @@
 """How good the link of one vehicle is, and what its clock reads: loss, delay, jitter, and the order of its samples.
 
-A vehicle stamps what it says with the time since its boot. What has to be added to have our loop's time comes from
-TIMESYNC: we say our time, the vehicle answers with its own and ours, and the answer that took least says most, because
-an error of half its round trip is all that is possible [Mills2010]_. A vehicle that does not answer is given
-the least delay that was seen of its stamped samples, as if that were none. Takes times, knows no clock and no socket.
+A vehicle stamps what it says with the time since its boot. By TIMESYNC we say our time, and the vehicle answers with
+its own and ours. Arrival less stamp is offset plus delay, so the least of it counts, and for each direction by itself:
+delay = (least in + least out) / 2 and offset = least of the stamped samples - delay, right where the least delays of
+both directions are the same, whatever their jitter [Mills2010]_. A vehicle that does not answer is given the least
+delay of its stamped samples as if that were none. Takes times, knows no clock and no socket.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from typing import Final, NamedTuple
 
 from fg_gcs.wire.sequence import SequenceCounter
 
-DRIFT: Final = 1e-3  # of a vehicle's clock against ours, far more than quartz has; what was learnt fades by it
+DRIFT: Final = 1e-4  # of a vehicle's clock against ours, twice what quartz has; what was learnt fades by it
+SLACK_S: Final = 0.01  # stamps are whole milliseconds, and machines are busy
+LEAST_SHARE: Final = 0.5  # of the least round trip: least delays that add up to less are of a clock that has moved
 ANSWER_S: Final = 5.0  # an answer that takes longer is lost
 OUTCOMES: Final = 32  # requests whose answers are counted: 16 s at two a second
 ROUND_TRIPS: Final = 16  # of which the delay is the mean
@@ -23,7 +26,6 @@ MOST_BOOT_S: Final = 120.0  # a vehicle that restarted is heard with its positio
 MOST_AHEAD_S: Final = 10.0  # that stamps may go on faster than time does: a link that was stuck empties itself
 CONSISTENT: Final = 5  # samples in a row that go on from one another before another boot is believed
 CONSISTENT_S: Final = 0.5  # how far the delays of two such may differ
-OTHER_CLOCK_S: Final = 30.0  # TIMESYNC may read another clock than stamps do: then the two are so far apart
 
 MOST_LOSS: Final = 0.5  # setpoints at 20 Hz still come every tenth of a second; with 30 % each way flights complete
 MOST_DELAY_S: Final = 1.0  # at 5 m/s a vehicle is 5 m further on before it is seen, and 10 m before it hears of it
@@ -94,25 +96,26 @@ class BootClock:
         self._newest_s = math.nan  # stamp
         self._at_s = math.nan  # when that came
         self._least_s = math.inf  # of arrival less stamp
+        self._least_in_s = self._least_out_s = math.inf  # of TIMESYNC's ways, by a clock that may be another one
+        self._least_trip_s = math.inf
         self._apparent_s = math.nan  # arrival less stamp of the newest
         self._other: tuple[float, float, int] | None = None  # stamp and arrival of the newest stray, and how many
-        self._synced: tuple[float, float] | None = None  # offset by TIMESYNC, and how wrong it may be [s]
-        self._doubts = 0
 
     def stamped(self, stamp_s: float, now_s: float) -> float | None:
-        """Take a sample; return the offset [s], or None for a sample that must not replace the newest one.
+        """Take a sample; return the offset [s], or None for one that must not replace the newest: it is older.
 
-        That is one that is older, or the same again. After a restart stamps begin near zero and go on from there: the
-        fifth sample that fits the four before it is believed.
+        The same one may come again. After a restart stamps begin near zero and go on from there: the fifth sample that
+        fits the four before it is believed.
 
         Args:
             stamp_s: Time since boot [s].
             now_s: Loop time [s].
         """
-        if not 0.0 < stamp_s - self._newest_s <= now_s - self._at_s + MOST_AHEAD_S and not self._restarts(
-            stamp_s, now_s
-        ):
-            return None
+        if not 0.0 < stamp_s - self._newest_s <= now_s - self._at_s + MOST_AHEAD_S:
+            if stamp_s == self._newest_s:
+                return self.offset_s
+            if not self._restarts(stamp_s, now_s):
+                return None
         if self._other is not None:
             self._other = None
         apparent_s = now_s - stamp_s
@@ -127,33 +130,33 @@ class BootClock:
         self._newest_s, self._at_s, self._apparent_s = stamp_s, now_s, apparent_s
         return self.offset_s
 
-    def synced(self, offset_s: float, error_s: float) -> None:
-        """Take what one TIMESYNC answer says: the offset [s], and half its round trip, which is its greatest error."""
-        best = self._synced
-        if best is not None and abs(offset_s - best[0]) > error_s + best[1] + 0.1:  # not even possible
-            self._doubts += 1
-            if self._doubts < 3:  # the vehicle has restarted, or somebody else answers
-                return
-            best = None
-        self._doubts = 0
-        if best is None or error_s <= best[1]:
-            self._synced = offset_s, error_s
-            self._decide()
+    def answered(self, vehicle_s: float, sent_s: float, now_s: float) -> None:
+        """Take an answer to TIMESYNC: the vehicle's time, when the request left, and when the answer came [s]."""
+        self._least_in_s = min(self._least_in_s, now_s - vehicle_s)
+        self._least_out_s = min(self._least_out_s, vehicle_s - sent_s)
+        self._least_trip_s = min(self._least_trip_s, now_s - sent_s)
+        if self._least_in_s + self._least_out_s < LEAST_SHARE * self._least_trip_s - SLACK_S:
+            self._forget()
+            self._least_in_s, self._least_out_s = now_s - vehicle_s, vehicle_s - sent_s
+            self._least_trip_s = now_s - sent_s
+        self._decide()
 
     def roll(self, passed_s: float) -> None:
         """Let what was learnt fade: its clock drifts. ``passed_s`` have passed since the last time [s]."""
-        self._least_s += DRIFT * passed_s
-        if self._synced is not None:
-            self._synced = self._synced[0], self._synced[1] + DRIFT * passed_s
+        fade_s = DRIFT * passed_s
+        self._least_s += fade_s
+        self._least_in_s += fade_s
+        self._least_out_s += fade_s
+        self._least_trip_s += fade_s
 
     def _decide(self) -> None:
-        if self._synced is None:
-            self.offset_s = self._least_s if math.isfinite(self._least_s) else math.nan
-            return
-        offset_s, error_s = self._synced
-        if self._least_s - offset_s > OTHER_CLOCK_S or offset_s - self._least_s > 1.0:
-            offset_s = self._least_s - error_s  # not the clock of the stamps: its round trip still tells the delay
-        self.offset_s = min(offset_s, self._least_s)  # nothing comes before it was said
+        delay_s = 0.5 * (self._least_in_s + self._least_out_s)
+        known_s = max(delay_s, 0.0) if math.isfinite(delay_s) else 0.0
+        self.offset_s = self._least_s - known_s if math.isfinite(self._least_s) else math.nan
+
+    def _forget(self) -> None:
+        self._least_s = self._least_in_s = self._least_out_s = self._least_trip_s = math.inf
+        self._apparent_s = math.nan
 
     def _restarts(self, stamp_s: float, now_s: float) -> bool:
         """Tell whether a sample that does not follow the newest one begins the stamps anew."""
@@ -171,7 +174,7 @@ class BootClock:
         self._other = stamp_s, now_s, count
         if count < CONSISTENT:
             return False
-        self._least_s, self._apparent_s, self._synced = math.inf, math.nan, None
+        self._forget()
         return True
 
 
@@ -209,7 +212,7 @@ class LinkTiming:
             return
         self._outcomes.append(True)
         self._round_trips_s.append(now_s - sent_s)
-        self.clock.synced(0.5 * (now_s + sent_s) - vehicle_ns / 1e9, 0.5 * (now_s - sent_s))
+        self.clock.answered(vehicle_ns / 1e9, sent_s, now_s)
 
     def roll(self, now_s: float) -> None:
         """Let windows go on: call it about twice a second."""
