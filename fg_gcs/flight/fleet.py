@@ -27,6 +27,8 @@ STEP_S = 0.02  # dialogues and conditions are checked this often: faster than an
 class Fleet:
     """Row v of every array belongs to ``vehicles[v]``; frames are known after :meth:`learn_frames`.
 
+    Whoever else speaks is a stranger from now on, see `Router.count_only`.
+
     Attributes:
         vehicles: in ascending order of their addresses.
         states: where they are and how they move, in their own frames, as telemetry comes.
@@ -47,6 +49,7 @@ class Fleet:
         self._names = [TELEMETRY.text("network", vehicle.address.network) for vehicle in self.vehicles]
         self.networks = np.array(self._names)
         self.system_ids = np.array([v.address.system_id for v in self.vehicles])
+        router.count_only(self.row_of)
         self.frames: tuple[LocalFrame, ...] = ()
         self.origins_enu_m = np.empty((0, 3))
 

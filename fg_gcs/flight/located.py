@@ -52,10 +52,7 @@ def located(
         acceleration_m_s2: The most that a vehicle accelerates [m/s^2].
     """
     measured_s, earlier = states.measured_at_s, states.earlier_ned_m_s
-    unknown = np.isnan(measured_s)
-    if unknown.any():  # minus infinity before the first sample
-        measured_s = np.where(unknown, states.position_at_s, measured_s)
-    age_s = np.maximum(now_s - measured_s, 0.0)
+    age_s = states.ages_s(now_s)
     carried_s = np.minimum(age_s, MOST_CARRIED_S)
     curved_s = np.minimum(age_s, MOST_CURVED_S)
     span_s = measured_s - earlier[:, 3]

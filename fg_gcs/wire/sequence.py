@@ -6,6 +6,7 @@ comes a second time within one round, in a frame of other content, was given by 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Final, NamedTuple
 
@@ -27,8 +28,8 @@ class _Counts(NamedTuple):
     at_s: float
     received: float
     expected: float
-    conflicts: int
-    restarts: int
+    conflicts: float
+    restarts: float
 
 
 class SequenceCounter:
@@ -43,8 +44,9 @@ class SequenceCounter:
         self._gap_s = MOST_GAP_S
         self._interval_s = MOST_GAP_S  # from one frame to the next
         self._received = self._expected = 0.0
-        self._conflicts = self._restarts = 0
+        self._conflicts = self._restarts = 0.0
         self._window: deque[_Counts] = deque()
+        self._total = _Counts(0.0, 0.0, 0.0, 0.0, 0.0)  # of the window
 
     def add(self, sequence: int, tail: bytes, now_s: float) -> None:
         """Count a frame.
@@ -66,31 +68,30 @@ class SequenceCounter:
 
     def roll(self, now_s: float) -> None:
         """Let the window go on: call it about every `STEP_S`."""
-        window, silent = self._window, not self._received
-        window.append(_Counts(now_s, self._received, self._expected, self._conflicts, self._restarts))
+        window, total = self._window, self._total
+        latest = _Counts(now_s, self._received, self._expected, self._conflicts, self._restarts)
         self._received = self._expected = 0.0
-        self._conflicts = self._restarts = 0
+        self._conflicts = self._restarts = 0.0
+        window.append(latest)
+        total = _Counts(now_s, *(both + one for both, one in zip(total[1:], latest[1:], strict=True)))
         while window[0].at_s < now_s - WINDOW_S:
-            window.popleft()
-        received = sum(counts.received for counts in window)
-        if received > 1.0 and not silent:
-            self._interval_s = min(WINDOW_S, len(window) * STEP_S) / received
+            total = _Counts(now_s, *(both - one for both, one in zip(total[1:], window.popleft()[1:], strict=True)))
+        self._total = total
+        if total.received > 1.0 and latest.received:
+            self._interval_s = min(WINDOW_S, len(window) * STEP_S) / total.received
             self._gap_s = min(max(LOST_TRACK * self._interval_s, LEAST_GAP_S), MOST_GAP_S)
 
     @property
     def loss(self) -> float:
         """Share of the frames of the last `WINDOW_S` that did not come, 0 to 1; NaN while there are none."""
-        received = self._received + sum(counts.received for counts in self._window)
-        expected = self._expected + sum(counts.expected for counts in self._window)
-        return float("nan") if expected <= 0.0 else min(max(1.0 - received / expected, 0.0), 1.0)
+        received, expected = self._received + self._total.received, self._expected + self._total.expected
+        return math.nan if expected < 0.5 else min(max(1.0 - received / expected, 0.0), 1.0)
 
     @property
     def interleaved(self) -> bool:
         """Two senders have numbered the frames of the last `WINDOW_S`."""
-        conflicts = self._conflicts + sum(counts.conflicts for counts in self._window)
-        received = self._received + sum(counts.received for counts in self._window)
-        restarts = self._restarts + sum(counts.restarts for counts in self._window)
-        share = CONFLICTS_SHARE * (received + conflicts)
+        conflicts, restarts = self._conflicts + self._total.conflicts, self._restarts + self._total.restarts
+        share = CONFLICTS_SHARE * (self._received + self._total.received + conflicts)
         return restarts > MOST_RESTARTS or conflicts >= max(LEAST_CONFLICTS, share)
 
     def _out_of_order(self, sequence: int, tail: bytes, now_s: float) -> bool:

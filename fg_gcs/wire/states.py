@@ -109,6 +109,12 @@ class StateTable:
             _VELOCITY.pack_into(data, latest, north_m_s, east_m_s, down_m_s, at_s)
             self._kept_s[row] = at_s
 
+    def ages_s(self, now_s: float) -> NDArray[np.float64]:
+        """Return how long ago the samples were true, shape (V,) [s]; infinite before the first."""
+        unknown = np.isnan(self.measured_at_s)  # of whom no stamp was taken yet: then by their arrival
+        true_s = np.where(unknown, self.position_at_s, self.measured_at_s) if unknown.any() else self.measured_at_s
+        return np.maximum(now_s - true_s, 0.0)
+
     def set_ground(self, row: int, *numbers: float) -> None:
         """Set where a vehicle stands: the three numbers of its ground."""
         _GROUND.pack_into(self._data, row * _ALL.size + _GROUND_OFFSET, *numbers)

@@ -13,6 +13,9 @@ import math
 from collections import deque
 from typing import Final, NamedTuple
 
+from pymavlink.dialects.v20 import all as dialect
+
+from fg_gcs.wire.codec import Message
 from fg_gcs.wire.sequence import SequenceCounter
 
 DRIFT: Final = 1e-4  # of a vehicle's clock against ours, twice what quartz has; what was learnt fades by it
@@ -31,6 +34,12 @@ MOST_LOSS: Final = 0.5  # setpoints at 20 Hz still come every tenth of a second;
 MOST_DELAY_S: Final = 1.0  # at 5 m/s a vehicle is 5 m further on before it is seen, and 10 m before it hears of it
 MOST_JITTER_S: Final = 0.25  # setpoints every 50 ms would arrive five places out of order
 SURE: Final = 2.0  # standard deviations: a share that is counted of few requests is not yet believed
+
+
+def timesync(said_ns: int) -> Message:
+    """Return the question for a vehicle's time, which says ours [ns]."""
+    message: Message = dialect.MAVLink_timesync_message(0, said_ns)
+    return message
 
 
 class LinkQuality(NamedTuple):
@@ -193,6 +202,7 @@ class LinkTiming:
         self._outcomes: deque[bool] = deque(maxlen=OUTCOMES)
         self._round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS)
         self._rolled_s = math.nan
+        self._quality: LinkQuality | None = None  # None: to be worked out again
         self._strays: deque[int] = deque([0], maxlen=10)  # of the last five seconds
 
     def asked(self, said_ns: int, now_s: float) -> None:
@@ -223,6 +233,7 @@ class LinkTiming:
         if now_s > self._rolled_s:
             self.clock.roll(now_s - self._rolled_s)
         self._rolled_s = now_s
+        self._quality = None
         self._strays.append(self.clock.strays)
 
     @property
@@ -236,7 +247,12 @@ class LinkTiming:
 
     @property
     def quality(self) -> LinkQuality:
-        """How good the link is now."""
+        """How good the link was at the latest `roll`."""
+        if self._quality is None:
+            self._quality = self._measured()
+        return self._quality
+
+    def _measured(self) -> LinkQuality:
         loss_in, loss_out, delay_s = self.sequence.loss, math.nan, math.nan
         if self._round_trips_s:
             delay_s = 0.5 * sum(self._round_trips_s) / len(self._round_trips_s)

@@ -89,9 +89,9 @@ def test_late_lossy_disordered_telemetry_bends_nothing(seed: int, rate_hz: float
     assert max(ages) < 0.6
 
 
-def table(place: Array, velocity: Array, measured_s: float) -> StateTable:
+def table(velocity: tuple[float, float, float], measured_s: float) -> StateTable:
     states = StateTable(1)
-    states.set_motion(0, *place, *velocity, 0.0, measured_s)
+    states.set_motion(0, 0.0, 0.0, 0.0, *velocity, 0.0, measured_s)
     states.set_measured(0, *velocity, measured_s)
     return states
 
@@ -100,9 +100,9 @@ def test_a_motion_at_constant_acceleration_is_carried_on_exactly() -> None:
     acceleration, states = np.array([1.0, -2.0, 0.5]), StateTable(1)
     for k in range(40):
         time_s = k / 25.0
-        velocity = acceleration * time_s
-        states.set_motion(0, *(0.5 * acceleration * time_s**2), *velocity, time_s, time_s)
-        states.set_measured(0, *velocity, time_s)
+        v_north, v_east, v_down = (acceleration * time_s).tolist()
+        states.set_motion(0, *(0.5 * acceleration * time_s**2), v_north, v_east, v_down, time_s, time_s)
+        states.set_measured(0, v_north, v_east, v_down, time_s)
     for ahead_s in (0.0, 0.1, 0.4):
         now_s = 39 / 25.0 + ahead_s
         found = located(states, np.array([[1.0, 2.0, 3.0]]), now_s)
@@ -125,7 +125,7 @@ def test_before_the_stamps_are_known_the_arrival_stands_for_them() -> None:
 
 
 def test_age_and_uncertainty_grow_and_what_is_old_stands_still() -> None:
-    states = table(np.zeros(3), np.array([3.0, 4.0, 0.0]), 0.0)
+    states = table((3.0, 4.0, 0.0), 0.0)
     times = np.linspace(0.0, 6.0, 61)
     found = [located(states, np.zeros((1, 3)), time_s) for time_s in times]
     assert [each.age_s[0] for each in found] == pytest.approx(times)
