@@ -9,8 +9,7 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.wire.states import StateTable
 
-MOST_CARRIED_S: Final = 1.0  # a sample is carried on along its velocity for so long; then it is as good as where it was
-MOST_CURVED_S: Final = 0.5  # and along its acceleration: what a vehicle did is no longer what it does
+MOST_CARRIED_S: Final = 0.5  # a sample is carried on for so long: what a vehicle did is then no longer what it does
 MOST_ACCELERATION_M_S2: Final = 5.0  # of any vehicle that flies within its mission's limits
 POSITION_SIGMA_M: Final = 0.1  # of an autopilot's estimate: real PX4 wanders by 0.1 to 0.3 m in a minute
 VELOCITY_SIGMA_M_S: Final = 0.1
@@ -54,18 +53,14 @@ def located(
     measured_s, earlier = states.measured_at_s, states.earlier_ned_m_s
     age_s = states.ages_s(now_s)
     carried_s = np.minimum(age_s, MOST_CARRIED_S)
-    curved_s = np.minimum(age_s, MOST_CURVED_S)
     span_s = measured_s - earlier[:, 3]
-    curve = 0.5 * curved_s * curved_s / span_s
-    straight = ~((span_s > 0.0) & (span_s < MOST_CURVED_S))  # no two velocities that are not far apart; so with NaN
-    bent = not straight.any()
+    curve = np.zeros_like(age_s)  # without two velocities that are not far apart
+    np.divide(0.5 * carried_s * carried_s, span_s, out=curve, where=(span_s > 0.0) & (span_s < MOST_CARRIED_S))
     places, velocities = np.empty((2, len(measured_s), 3))
     squares = np.zeros(len(measured_s))
     for axis, to in enumerate((1, 0, 2)):  # axis by axis, because NumPy is slow with rows of three
         velocity = states.velocity_ned_m_s[:, axis]
         change = (velocity - earlier[:, axis]) * curve
-        if not bent:
-            change[straight] = 0.0
         change += velocity * carried_s
         np.add(states.position_ned_m[:, axis], change, out=places[:, to])
         velocities[:, to] = velocity

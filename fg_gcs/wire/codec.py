@@ -24,12 +24,12 @@ from fg_gcs.wire.messages import READERS
 GCS_SYSTEM: Final = 255  # ArduPilot's GCS failsafe listens to heartbeats of this system only
 GCS_COMPONENT: Final = 190  # MAV_COMP_ID_MISSIONPLANNER: PX4 explains a refused OFFBOARD only to this component
 
+MAGIC_V2: Final = 0xFD  # the first byte of a frame of MAVLink 2
 FALSE_START_WORK: Final = 1  # what a byte costs at which no frame begins: some two microseconds
 FRAME_WORK: Final = 8  # what a good frame costs, with all that is done with it
 
 _MAGIC_V1: Final = 0xFE
-_MAGIC_V2: Final = 0xFD
-_MAGICS: Final = (_MAGIC_V1, _MAGIC_V2)
+_MAGICS: Final = (_MAGIC_V1, MAGIC_V2)
 _find_magic: Final = re.compile(b"[\xfd\xfe]").search
 _HEADER_V1_BYTES: Final = 6
 _HEADER_V2_BYTES: Final = 10
@@ -100,7 +100,7 @@ class Frame(NamedTuple):
 
     def get_seq(self) -> int:
         """Sequence number."""
-        return self.raw[4] if self.raw[0] == _MAGIC_V2 else self.raw[2]
+        return self.raw[4] if self.raw[0] == MAGIC_V2 else self.raw[2]
 
     def get_srcSystem(self) -> int:
         """System id of the sender."""
@@ -195,7 +195,7 @@ class Codec:
     def _look(self, buffer: bytes, start: int, size: int) -> Frame | int:
         """Return what begins at ``start``: a frame, or so many bytes that are none; 0 where more must come to tell."""
         magic = buffer[start]
-        if magic == _MAGIC_V2:
+        if magic == MAGIC_V2:
             begin = start + _HEADER_V2_BYTES
             if begin > size:
                 return self._datagrams

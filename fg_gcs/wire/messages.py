@@ -103,6 +103,7 @@ class Timesync(NamedTuple):
 
 
 HEARTBEAT: Final[int] = dialect.MAVLINK_MSG_ID_HEARTBEAT
+GLOBAL_POSITION_INT: Final[int] = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 LOCAL_POSITION_NED: Final[int] = dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 
 Reader = Callable[[bytes], Any]  # payload to a tuple or one of pymavlink's messages

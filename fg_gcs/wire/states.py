@@ -65,9 +65,10 @@ class StateTable:
         position_ned_m: Shape (V, 3) [m; NED from each vehicle's own local origin]; NaN before the first.
         velocity_ned_m_s: Shape (V, 3) [m/s; NED], of the same samples.
         position_at_s: Our loop time when they came, shape (V,) [s]; minus infinity before the first.
-        measured_at_s: Our loop time when they were true by the vehicles' own stamps, shape (V,) [s]; NaN at first.
+        measured_at_s: Our loop time when they were true by the vehicles' own stamps, shape (V,) [s]; minus infinity
+            before the first.
         earlier_ned_m_s: Velocities of `VELOCITIES_S` to twice that before, and when they were true by our loop time,
-            shape (V, 4) [m/s; NED and s]; NaN while there are none.
+            shape (V, 4) [m/s; NED and s]; at NaN while there are none.
     """
 
     def __init__(self, count: int) -> None:
@@ -77,9 +78,11 @@ class StateTable:
         self.position_ned_m: NDArray[np.float64] = rows["position_ned_m"]
         self.velocity_ned_m_s: NDArray[np.float64] = rows["velocity_ned_m_s"]
         self.position_at_s: NDArray[np.float64] = rows["position_at_s"]
-        self._measured = array("d", [math.nan] * count)
+        self._measured = array("d", [-math.inf] * count)
         self.measured_at_s: NDArray[np.float64] = np.frombuffer(self._measured)
-        self._velocities = bytearray(_VELOCITY.pack(*[math.nan] * 4) * 2 * count)  # each vehicle's earlier and latest
+        self._velocities = bytearray(
+            _VELOCITY.pack(0.0, 0.0, 0.0, math.nan) * 2 * count
+        )  # each vehicle's earlier and latest
         self._kept_s = [math.nan] * count  # when the latest was true
         self.earlier_ned_m_s: NDArray[np.float64] = np.frombuffer(self._velocities).reshape(count, 2, 4)[:, 0]
 
@@ -92,15 +95,17 @@ class StateTable:
         return _ALL.unpack_from(self._data, row * _ALL.size)
 
     def __setitem__(self, row: int, state: State) -> None:
-        """Set one vehicle's state."""
+        """Set one vehicle's state; it counts as true when it came."""
+        self._measured[row] = state.position_at_s
         _ALL.pack_into(self._data, row * _ALL.size, *state)
 
     def set_motion(self, row: int, *numbers: float) -> None:
-        """Set what one position sample says: the first eight numbers of a `State`."""
+        """Set what one position sample says: the first eight numbers of a `State`; it counts as true when it came."""
+        self._measured[row] = numbers[7]
         _MOTION.pack_into(self._data, row * _ALL.size, *numbers)
 
     def set_measured(self, row: int, north_m_s: float, east_m_s: float, down_m_s: float, at_s: float) -> None:
-        """Set when the sample of `set_motion` was true by our loop time [s]; its velocity is kept for later ones."""
+        """Set when the sample of `set_motion` was true by our loop time [s], and keep its velocity for later."""
         self._measured[row] = at_s
         if not 0.0 <= at_s - self._kept_s[row] < VELOCITIES_S:
             size = _VELOCITY.size
@@ -111,9 +116,7 @@ class StateTable:
 
     def ages_s(self, now_s: float) -> NDArray[np.float64]:
         """Return how long ago the samples were true, shape (V,) [s]; infinite before the first."""
-        unknown = np.isnan(self.measured_at_s)  # of whom no stamp was taken yet: then by their arrival
-        true_s = np.where(unknown, self.position_at_s, self.measured_at_s) if unknown.any() else self.measured_at_s
-        return np.maximum(now_s - true_s, 0.0)
+        return np.maximum(now_s - self.measured_at_s, 0.0)
 
     def set_ground(self, row: int, *numbers: float) -> None:
         """Set where a vehicle stands: the three numbers of its ground."""
