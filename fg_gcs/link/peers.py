@@ -26,30 +26,35 @@ _HEARTBEAT_BYTES: Final = 34  # the longest frame that is a heartbeat: MAVLink 2
 class TokenBucket:
     """A budget that fills at a rate, up to a burst; knows no clock.
 
+    It is filled only when it is empty, because it is asked for every message: in t seconds it gives at most two bursts
+    and what comes in t.
+
     Args:
         burst: The most that it holds; it begins full.
     """
 
+    __slots__ = ("_at_s", "_burst", "_left")
+
     def __init__(self, burst: float) -> None:
         self._left = self._burst = burst
-        self._at_s = 0.0
+        self._at_s = 0.0  # when it was filled
 
     def take(self, amount: float, rate_s: float, now_s: float) -> bool:
         """Take so much out of it if it is there; tell whether it was.
 
         Args:
             amount: How much.
-            rate_s: How much has come in each second since the last time.
+            rate_s: How much comes in each second.
             now_s: Loop time [s].
         """
-        left = self._left + rate_s * (now_s - self._at_s)
-        self._at_s = now_s
-        if left > self._burst:
-            left = self._burst
-        if left < amount:
-            self._left = left
-            return False
-        self._left = left - amount
+        left = self._left - amount
+        if left < 0.0:
+            self._left = min(self._left + rate_s * (now_s - self._at_s), self._burst)
+            self._at_s = now_s
+            left = self._left - amount
+            if left < 0.0:
+                return False
+        self._left = left
         return True
 
 
@@ -61,6 +66,8 @@ class Peer:
         vehicles: Those that speak from here, by their system ids.
         waiting: What has come and is not read yet, behind what the codec has begun.
         told: People were told that it sends too much.
+        budget: How many bytes of it are read, if it is known [bytes].
+        rate_s: How many of them come in each second [bytes/s].
     """
 
     network: str
@@ -71,22 +78,19 @@ class Peer:
     vehicles: dict[int, Vehicle] = field(default_factory=dict)
     waiting: deque[bytes] = field(default_factory=deque)
     told: bool = False
-    _budget: TokenBucket = field(init=False)
+    budget: TokenBucket = field(init=False)
+    rate_s: float = VEHICLE_BYTES_S
 
     def __post_init__(self) -> None:
         """Make the decoder that the wire needs."""
         self.codec = Codec(datagrams=self.wire.endpoint.kind is not Kind.TCP)
-        self._budget = TokenBucket(VEHICLE_BURST_BYTES)
+        self.budget = TokenBucket(VEHICLE_BURST_BYTES)
 
     @property
     def name(self) -> str:
         """Its address for people."""
         host, port = self.address[:2]
         return f"{host}:{port}"
-
-    def may_send(self, size: int, now_s: float) -> bool:
-        """Tell whether so many bytes more of an address with vehicles are read [bytes], at a loop time [s]."""
-        return self._budget.take(size, VEHICLE_BYTES_S * max(len(self.vehicles), 1), now_s)
 
 
 class Peers:
@@ -120,6 +124,7 @@ class Peers:
     def settle(self, peer: Peer) -> None:
         """Keep a peer among the known ones, or among the strangers, as it is now."""
         key = (id(peer.wire), peer.address)
+        peer.rate_s = VEHICLE_BYTES_S * max(len(peer.vehicles), 1)
         here, there = self.known, self._strangers
         if peer.wire.remote is not None or any(self._counts(vehicle) for vehicle in peer.vehicles.values()):
             here, there = there, here

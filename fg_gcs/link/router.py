@@ -310,7 +310,7 @@ class Router:
             data = self._peers.readable(data, now_s)
             if len(data) < size:
                 self._refuse(peer)
-        elif not peer.may_send(len(data), now_s):
+        elif not peer.budget.take(len(data), peer.rate_s, now_s):
             self._refuse(peer)
             return
         if peer.codec.waiting or peer.waiting:
