@@ -5,7 +5,7 @@ import errno
 import re
 import socket
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -14,6 +14,7 @@ from typing import Final, cast
 from fg_gcs.errors import LinkError
 from fg_gcs.link.bulk import Bulk, Send, bulk_send_of
 from fg_gcs.link.clock import VirtualTimeLoop
+from fg_gcs.link.kernel_filter import attach, dropped_by_system
 from fg_gcs.wire.address import MAIN
 from fg_gcs.wire.framing import Frames
 
@@ -158,6 +159,20 @@ class Wire(ABC):
         """Return what is too small for so many vehicles, a line for people each."""
         return []
 
+    def admit_only(self, known: Collection[Address] | None, share: float) -> bool:
+        """Let the system drop what comes from elsewhere, but for a share of the heartbeats; tell whether it can.
+
+        Args:
+            known: Where everything is taken from; None: from everywhere.
+            share: Of the heartbeats, 0 to 1.
+        """
+        return False
+
+    @property
+    def unread(self) -> int:
+        """Datagrams that the system has dropped before they were read, as far as it tells."""
+        return 0
+
     @abstractmethod
     def close(self) -> None:
         """Close it."""
@@ -180,6 +195,7 @@ class UdpWire(Wire):
         super().__init__(endpoint, on_data)
         self._socket = own
         self._bulk_send = bulk_send if own.family == socket.AF_INET else None
+        self._unread = 0
         self._loop = asyncio.get_running_loop()
         if endpoint.kind is Kind.UDP_OUT:
             self.remote = own.getpeername()
@@ -224,8 +240,20 @@ class UdpWire(Wire):
                 )
         return found
 
+    def admit_only(self, known: Collection[Address] | None, share: float) -> bool:
+        """Let the system drop what comes from elsewhere, see `fg_gcs.link.kernel_filter`."""
+        return attach(self._socket, known, share)
+
+    @property
+    def unread(self) -> int:
+        """Datagrams that the system has dropped: of strangers in a flood, or for want of room."""
+        if self._socket.fileno() >= 0:
+            self._unread = dropped_by_system(self._socket)
+        return self._unread
+
     def close(self) -> None:
         """Close the socket; may be called twice."""
+        self._unread = self.unread
         if self._socket.fileno() >= 0:
             self._loop.remove_reader(self._socket)
             self._socket.close()

@@ -1,6 +1,7 @@
 """From sockets to vehicles and back: each message leaves once, to the address its vehicle was heard from."""
 
 import asyncio
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,11 @@ from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 KEEP_ALIVE_S: Final = 0.5  # autopilots want one heartbeat a second; ArduPilot gives up after 5 s, ten lost in a row
 CLASH_S: Final = 10.0  # somebody else who has been silent for longer is not there any more
 MOST_WORK: Final = 512  # of reading one address's bytes before others have their turn: half a millisecond
+FLOOD: Final = 500  # datagrams of strangers within `FLOOD_WINDOW_S`: to read and drop more takes a share of a core
+FLOOD_WINDOW_S: Final = 0.1
+SHUT_S: Final = 10.0  # strangers are shut out by the system for so long, then it is seen whether they still come
+OPEN: Final = 4.0  # a share of heartbeats that says that all else is let in as well; a quarter of it is all of them
+LEAST_SHARE: Final = 1.0 / 64.0  # of strangers' heartbeats that are let in at least
 _TIMESYNC_PEERS: Final = 256  # that are asked for their time in every period; more take turns
 _AUTOPILOT: Final = 1  # component id
 _MOST_AT_ONCE: Final = 50  # heartbeats sent, or vehicles looked at, before others have their turn: half a millisecond
@@ -56,7 +62,8 @@ class Counters(NamedTuple):
         unroutable: Frames for a vehicle that was never heard.
         clashes: Frames ignored because their vehicle is already heard from elsewhere in its network.
         errors: Errors the system reported for our sockets.
-        refused: Datagrams that were not read, or not to their end, because their sender sends too much.
+        refused: Datagrams that were not read, or not to their end, because their sender sends too much, and those that
+            the system has dropped before.
     """
 
     frames_in: int
@@ -81,6 +88,23 @@ class _Clash(NamedTuple):
     peer: Peer
     since_s: float
     at_s: float  # the last time
+
+
+@dataclass(slots=True)
+class _Gate:
+    """What is let in of strangers at one wire.
+
+    Attributes:
+        share: Of their heartbeats, while nothing else is.
+        until_s: How long they are shut out.
+        count: Their datagrams since a time.
+        since_s: That time.
+    """
+
+    share: float = OPEN
+    until_s: float = -math.inf
+    count: int = 0
+    since_s: float = -math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +157,7 @@ class Router:
         self._told: set[VehicleAddress] = set()  # those of which people know that there are two
         self._frames_out = self._unroutable = self._clashes = self._refused = 0
         self._refusal_told = False  # of strangers
+        self._gates: dict[Wire, _Gate] = {}
         self._loop = loop
         self._time = loop.time
 
@@ -176,7 +201,7 @@ class Router:
             unroutable=self._unroutable,
             clashes=self._clashes,
             errors=sum(wire.errors for wire in self._wires),
-            refused=self._refused,
+            refused=self._refused + sum(wire.unread for wire in self._wires),
         )
 
     @property
@@ -245,6 +270,7 @@ class Router:
                 for vehicle in vehicles:
                     self._watch(vehicle)
                 await asyncio.sleep(0.0)
+            self._watch_gates()
 
     def tell_shortages(self) -> None:
         """Tell people of buffers that are too small for the vehicles heard so far; once, when all of them are."""
@@ -306,6 +332,7 @@ class Router:
     def _receive(self, network: str, wire: Wire, address: Address, data: bytes) -> None:
         now_s, peer = self._time(), self._known.get((id(wire), address))
         if peer is None:
+            self._count_stranger(wire, now_s)
             peer, size = self._peers.stranger(network, wire, address), len(data)
             data = self._peers.readable(data, now_s)
             if len(data) < size:
@@ -322,6 +349,31 @@ class Router:
         self._take(peer, peer.codec.receive(data, MOST_WORK), now_s)
         if peer.codec.waiting:
             self._put_off(peer)
+
+    def _count_stranger(self, wire: Wire, now_s: float) -> None:
+        """Count a stranger's datagram; if there are too many, let the system drop them, and then heartbeats as well."""
+        gate = self._gates.get(wire)
+        if gate is None:
+            gate = self._gates[wire] = _Gate()
+        if now_s - gate.since_s >= FLOOD_WINDOW_S:
+            gate.since_s, gate.count = now_s, 0
+        gate.count += 1
+        if gate.count == FLOOD:
+            gate.share = max(gate.share / 4.0, LEAST_SHARE)
+            gate.until_s = now_s + SHUT_S
+            self._shut(wire, gate)
+
+    def _watch_gates(self) -> None:
+        """Let those vehicles through that have become known, and strangers again once their time is over."""
+        for wire, gate in self._gates.items():
+            if gate.until_s > self._time():
+                self._shut(wire, gate)
+            elif gate.share != OPEN:
+                gate.share = OPEN
+                wire.admit_only(None, 0.0)
+
+    def _shut(self, wire: Wire, gate: _Gate) -> None:
+        wire.admit_only([peer.address for peer in self._known.values() if peer.wire is wire], gate.share)
 
     def _put_off(self, peer: Peer) -> None:
         """Read a peer's bytes on after others have had their turn."""
