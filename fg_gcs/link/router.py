@@ -31,6 +31,7 @@ FLOOD: Final = 500  # datagrams of strangers within `FLOOD_WINDOW_S`: to read an
 FLOOD_WINDOW_S: Final = 0.1
 SHUT_S: Final = 10.0  # strangers are shut out by the system for so long, then it is seen whether they still come
 OPEN: Final = 4.0  # a share of heartbeats that says that all else is let in as well; a quarter of it is all of them
+STALE_S: Final = 0.02
 LEAST_SHARE: Final = 1.0 / 64.0  # of strangers' heartbeats that are let in at least
 _TIMESYNC_PEERS: Final = 256  # that are asked for their time in every period; more take turns
 _AUTOPILOT: Final = 1  # component id
@@ -99,12 +100,16 @@ class _Gate:
         until_s: How long they are shut out.
         count: Their datagrams since a time.
         since_s: That time.
+        is_stale: The system does not know yet whom we know.
+        timer: For when their time is over.
     """
 
     share: float = OPEN
     until_s: float = -math.inf
     count: int = 0
     since_s: float = -math.inf
+    is_stale: bool = False
+    timer: asyncio.TimerHandle | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +218,7 @@ class Router:
     def count_only(self, addresses: Iterable[VehicleAddress]) -> None:
         """Let only these vehicles count from now on: what others send is read like strangers' bytes, a little of it."""
         self._peers.count_only(addresses)
+        self._gates_are_stale()
 
     def routes(self, addresses: tuple[VehicleAddress, ...]) -> Routes:
         """Return the ways to these vehicles as they are now; to be asked for each round, as vehicles move.
@@ -270,7 +276,6 @@ class Router:
                 for vehicle in vehicles:
                     self._watch(vehicle)
                 await asyncio.sleep(0.0)
-            self._watch_gates()
 
     def tell_shortages(self) -> None:
         """Tell people of buffers that are too small for the vehicles heard so far; once, when all of them are."""
@@ -363,17 +368,24 @@ class Router:
             gate.until_s = now_s + SHUT_S
             self._shut(wire, gate)
 
-    def _watch_gates(self) -> None:
-        """Let those vehicles through that have become known, and strangers again once their time is over."""
-        for wire, gate in self._gates.items():
-            if gate.until_s > self._time():
-                self._shut(wire, gate)
-            elif gate.share != OPEN:
-                gate.share = OPEN
-                wire.admit_only(None, 0.0)
-
     def _shut(self, wire: Wire, gate: _Gate) -> None:
-        wire.admit_only([peer.address for peer in self._known.values() if peer.wire is wire], gate.share)
+        """Let the system drop what strangers send, and let them in again when their time is over."""
+        gate.is_stale = False
+        if gate.until_s > self._time():
+            wire.admit_only([peer.address for peer in self._known.values() if peer.wire is wire], gate.share)
+            if gate.timer is not None:
+                gate.timer.cancel()
+            gate.timer = self._loop.call_at(gate.until_s, self._shut, wire, gate)
+        elif gate.share != OPEN:
+            gate.share = OPEN
+            wire.admit_only(None, 0.0)
+
+    def _gates_are_stale(self) -> None:
+        """Let those through soon that have become known, all who do about now at once."""
+        for wire, gate in self._gates.items():
+            if gate.share != OPEN and not gate.is_stale:
+                gate.is_stale = True
+                self._loop.call_later(STALE_S, self._shut, wire, gate)
 
     def _put_off(self, peer: Peer) -> None:
         """Read a peer's bytes on after others have had their turn."""
@@ -433,6 +445,7 @@ class Router:
         vehicle = self.vehicles[address] = peer.vehicles[frame.system_id] = Vehicle(address, profile, now_s)
         self._routes[address] = peer
         self._peers.settle(peer)
+        self._gates_are_stale()
         return vehicle
 
     def _moved(self, vehicle: Vehicle, peer: Peer, frame: Frame, now_s: float) -> bool:
@@ -448,6 +461,7 @@ class Router:
             self._peers.settle(peer)
             self._latest = None
             self._clashing.pop(vehicle.address, None)
+            self._gates_are_stale()
             return True
         self._clashes += 1
         clash = self._clashing.get(vehicle.address)
