@@ -307,8 +307,12 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
     ]
     if mission.targets is not None:
         lines += _tracking_lines(summary, figure)
-    for key, name in (("bad_bytes", "bytes that were no MAVLink"), ("unknown_messages", "unknown messages")):
-        if summary[key]:
+    for key, name in (
+        ("bad_bytes", "bytes that were no MAVLink"),
+        ("unknown_messages", "unknown messages"),
+        ("refused", "datagrams of floods"),
+    ):
+        if summary.get(key):
             lines.append((name, f"{summary[key]} dropped"))
     lines += [("hit", text) for text in RunSummary(summary).incidents]
     if summary.get("recording_complete") is False:
