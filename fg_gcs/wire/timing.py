@@ -27,8 +27,9 @@ ROUND_TRIPS: Final = 16  # of which the delay is the mean
 MOST_LATE_S: Final = 4.0  # samples come late, or a second time, by less; what is older is of another boot
 MOST_BOOT_S: Final = 120.0  # a vehicle that restarted is heard with its position before that: ArduPilot after 41 s
 MOST_AHEAD_S: Final = 10.0  # that stamps may go on faster than time does: a link that was stuck empties itself
-CONSISTENT: Final = 5  # samples in a row that go on from one another before another boot is believed
-CONSISTENT_S: Final = 0.5  # how far the delays of two such may differ
+CONSISTENT: Final = 5  # samples in a row, at the pace of time, before a restart is believed
+SURELY_CONSISTENT: Final = 25  # and before a clock that jumped is: a link that was stuck looks the same at first
+CONSISTENT_S: Final = 0.25  # how far the delays of such samples may differ
 
 MOST_LOSS: Final = 0.5  # setpoints at 20 Hz still come every tenth of a second; with 30 % each way flights complete
 MOST_DELAY_S: Final = 1.0  # at 5 m/s a vehicle is 5 m further on before it is seen, and 10 m before it hears of it
@@ -108,7 +109,8 @@ class BootClock:
         self._least_in_s = self._least_out_s = math.inf  # of TIMESYNC's ways, by a clock that may be another one
         self._least_trip_s = math.inf
         self._apparent_s = math.nan  # arrival less stamp of the newest
-        self._other: tuple[float, float, int] | None = None  # stamp and arrival of the newest stray, and how many
+        # Strays in a row: stamp and arrival of the first of them, stamp of the newest, and how many
+        self._other: tuple[float, float, float, int] | None = None
 
     def stamped(self, stamp_s: float, now_s: float) -> float | None:
         """Take a sample; return the offset [s], or None for one that must not replace the newest: it is older.
@@ -171,17 +173,14 @@ class BootClock:
         """Tell whether a sample that does not follow the newest one begins the stamps anew."""
         if math.isnan(self._newest_s):
             return True
-        ahead_s = stamp_s - self._newest_s
-        if ahead_s <= 0.0 and (ahead_s > -MOST_LATE_S or stamp_s > MOST_BOOT_S):
+        if -MOST_LATE_S < stamp_s - self._newest_s <= 0.0:
             return False
         self.strays += 1
-        count = 1
-        if self._other is not None:
-            before_s, at_s, so_many = self._other
-            if stamp_s - before_s > 0.0 and abs(stamp_s - before_s - (now_s - at_s)) < CONSISTENT_S:
-                count = so_many + 1
-        self._other = stamp_s, now_s, count
-        if count < CONSISTENT:
+        first_s, at_s, latest_s, so_many = self._other or (stamp_s, now_s, -math.inf, 0)
+        follows = stamp_s > latest_s and abs(stamp_s - first_s - (now_s - at_s)) < CONSISTENT_S
+        self._other = (first_s, at_s, stamp_s, so_many + 1) if follows else (stamp_s, now_s, stamp_s, 1)
+        restarted = stamp_s < min(self._newest_s, MOST_BOOT_S)
+        if self._other[3] < (CONSISTENT if restarted else SURELY_CONSISTENT):
             return False
         self._forget()
         return True

@@ -238,6 +238,25 @@ def test_a_restart_is_believed_after_a_few_samples_that_agree(before_s: float, a
     assert clock.offset_s == pytest.approx(3.0 - after_s, abs=1e-3)
 
 
+@given(by_s=st.one_of(st.floats(-1e4, -MOST_LATE_S - 2.0), st.floats(0.1, 1e4)))
+def test_a_clock_that_jumps_is_followed_within_two_seconds(by_s: float) -> None:
+    clock = BootClock()
+    for k in range(100):
+        clock.stamped(2e4 + k / 25.0, k / 25.0)
+    taken = [clock.stamped(2e4 + by_s + k / 25.0, k / 25.0) is not None for k in range(100, 150)]
+    assert all(taken[-1:])
+    assert clock.offset_s == pytest.approx(-2e4 - by_s, abs=1e-3)
+
+
+def test_a_link_that_was_stuck_and_empties_itself_is_no_clock_that_jumped() -> None:
+    clock = BootClock()
+    for k in range(250):
+        clock.stamped(1000.0 + k / 25.0, k / 25.0)
+    old = [clock.stamped(1000.0 + k / 25.0, 10.0 + k / 1e4) is not None for k in range(100)]
+    assert not any(old)
+    assert clock.offset_s == pytest.approx(-1000.0, abs=1e-3)
+
+
 def test_one_stale_or_mad_stamp_changes_nothing() -> None:
     clock = BootClock()
     for k in range(200):
