@@ -21,7 +21,7 @@ from fg_gcs.wire.sequence import SequenceCounter
 DRIFT: Final = 1e-4  # of a vehicle's clock against ours, twice what quartz has; what was learnt fades by it
 SLACK_S: Final = 0.01  # stamps are whole milliseconds, and machines are busy
 LEAST_SHARE: Final = 0.5  # of the least round trip: least delays that add up to less are of a clock that has moved
-ANSWER_S: Final = 5.0  # an answer that takes longer is lost
+ANSWER_S: Final = 2.5  # an answer that takes longer is lost: the delay of each way may be 1 s
 OUTCOMES: Final = 32  # requests whose answers are counted: 16 s at two a second
 ROUND_TRIPS: Final = 16  # of which the delay is the mean
 MOST_LATE_S: Final = 4.0  # samples come late, or a second time, by less; what is older is of another boot
