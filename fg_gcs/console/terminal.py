@@ -154,8 +154,8 @@ def vehicle_lines(vehicles: Sequence[VehicleSnapshot], most: int, networks: bool
         networks: there are several, so that each vehicle's is told.
     """
     table = Table(box=None, padding=(0, 1), header_style="dim")
-    for name in ("id", "phase", "mode", "height", "speed", "battery"):
-        table.add_column(name, justify="right" if name in ("id", "height", "speed", "battery") else "left")
+    for name in ("id", "phase", "mode", "height", "speed", "battery", "lost", "delay"):
+        table.add_column(name, justify="left" if name in ("phase", "mode") else "right")
     order = {id(vehicle): index for index, vehicle in enumerate(vehicles)}
     first = sorted(vehicles, key=lambda vehicle: not vehicle.alarming)  # stable: else by address
     shown = first if len(vehicles) <= most else first[: most - 1]
@@ -167,6 +167,8 @@ def vehicle_lines(vehicles: Sequence[VehicleSnapshot], most: int, networks: bool
             "" if vehicle.height_m is None else f"{vehicle.height_m:.1f} m",
             f"{vehicle.speed_m_s or 0.0:.1f} m/s",
             "" if vehicle.battery is None else f"{vehicle.battery:.0%}",
+            "" if vehicle.loss_in is None else f"{max(vehicle.loss_in, vehicle.loss_out or 0.0):.0%}",
+            "" if vehicle.delay_s is None else f"{1e3 * vehicle.delay_s:.0f} ms",
         )
     rest = Counter(vehicle.phase for vehicle in first[len(shown) :])
     if rest:
@@ -305,8 +307,12 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
     ]
     if mission.targets is not None:
         lines += _tracking_lines(summary, figure)
-    for key, name in (("bad_bytes", "bytes that were no MAVLink"), ("unknown_messages", "unknown messages")):
-        if summary[key]:
+    for key, name in (
+        ("bad_bytes", "bytes that were no MAVLink"),
+        ("unknown_messages", "unknown messages"),
+        ("refused", "datagrams of floods"),
+    ):
+        if summary.get(key):
             lines.append((name, f"{summary[key]} dropped"))
     lines += [("hit", text) for text in RunSummary(summary).incidents]
     if summary.get("recording_complete") is False:

@@ -20,6 +20,7 @@ from fg_gcs.flight.discovery import discover
 from fg_gcs.flight.fleet import STEP_S, Fleet
 from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.link_check import unfit_links
 from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.policy import (
     Fault,
@@ -209,6 +210,9 @@ class Director:
             with self.journal.in_stage("plan"):
                 plan = self._plan(fleet, task)
                 flights.append(await self._flight(fleet, task, plan))
+                unfit = unfit_links(router, fleet.vehicles)
+                if unfit is not None:
+                    raise VehicleError(unfit)
 
         try:
             try:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic_from_enu, swap_ned_enu
 from fg_gcs.errors import VehicleError
+from fg_gcs.flight.located import Located, located
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
 from fg_gcs.record.write.layouts import TELEMETRY
@@ -24,11 +25,12 @@ from fg_gcs.wire.states import StateTable
 from fg_gcs.wire.vehicle import Vehicle
 
 STEP_S = 0.02  # dialogues and conditions are checked this often: faster than any acknowledgement but PX4's first
-MOST_CARRIED_S = 0.5  # a vehicle that was not heard for longer may be anywhere
 
 
 class Fleet:
     """Row v of every array belongs to ``vehicles[v]``; frames are known after :meth:`learn_frames`.
+
+    Whoever else speaks is a stranger from now on, see `Router.count_only`.
 
     Attributes:
         vehicles: in ascending order of their addresses.
@@ -50,6 +52,7 @@ class Fleet:
         self._names = [TELEMETRY.text("network", vehicle.address.network) for vehicle in self.vehicles]
         self.networks = np.array(self._names)
         self.system_ids = np.array([v.address.system_id for v in self.vehicles])
+        router.count_only(self.row_of)
         self.frames: tuple[LocalFrame, ...] = ()
         self.origins_enu_m = np.empty((0, 3))
 
@@ -95,19 +98,19 @@ class Fleet:
         self.frames = tuple(LocalFrame((east, north, up)) for east, north, up in places)
         self.origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
 
+    def located(self, now_s: float) -> Located:
+        """Return where all vehicles are at one instant of the loop's time [s], with age and uncertainty."""
+        return located(self.states, self.origins_enu_m, now_s)
+
     def positions_enu_m(self, now_s: float | None = None) -> Array:
         """Return where the vehicles are, shape (V, 3) [m; ENU].
 
         Args:
-            now_s: carry each one's newest position on along its velocity to this time, because vehicles tell theirs at
-                different times: at 8 m/s a tenth of a second is a good part of a separation; None: as they came [s].
+            now_s: at this instant, see :meth:`located` [s]; None: the newest samples as they came.
         """
-        states = self.states
-        places = states.position_ned_m
         if now_s is not None:
-            ages_s = np.clip(now_s - states.position_at_s, 0.0, MOST_CARRIED_S)
-            places = places + states.velocity_ned_m_s * ages_s[:, None]
-        positions: Array = swap_ned_enu(places) + self.origins_enu_m
+            return self.located(now_s).position_enu_m
+        positions: Array = swap_ned_enu(self.states.position_ned_m) + self.origins_enu_m
         return positions
 
     def position_enu_m(self, vehicle: Vehicle) -> tuple[float, float, float] | None:

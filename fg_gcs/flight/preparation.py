@@ -17,7 +17,7 @@ from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
 
 READY_S = 90.0  # ArduCopter needs 41 s from its boot until it can arm; twice that for a slow machine
-TELEMETRY_HZ = (25.0, 10.0)  # of positions: for small swarms, and for those of more than MANY vehicles
+TELEMETRY_HZ = (25.0, 20.0)  # of positions: for small swarms, and for those of more than MANY vehicles
 MANY = 50
 AT_ONCE = 8  # questions to one vehicle at a time: streams and parameters tell themselves apart by ids and names
 

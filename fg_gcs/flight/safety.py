@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.flight.located import POSITION_SIGMA_M, Located
 from fg_gcs.flight.policy import Fault, FaultKind
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.rules import outside, too_close
@@ -69,11 +71,15 @@ class Picture(NamedTuple):
 
     vehicles: Sequence[Vehicle]
     rows: Sequence[int]  # of the vehicles that fly for us: they are looked at, others are nobody's alarm
-    positions_enu_m: Array  # (V, 3) [m]
-    position_at_s: Array  # (V,) when they were there [s]
+    located: Located  # where they are now, with age and uncertainty
     told_enu_m: Array  # (V, 3) where they are told to be; NaN: nothing is streamed [m]
     told_speed_m_s: Array  # (V,) the greatest that they were told to fly at within the last second [m/s]
     now_s: float
+
+    @property
+    def positions_enu_m(self) -> Array:
+        """Where they are now, shape (V, 3) [m]."""
+        return self.located.position_enu_m
 
 
 class Finding(NamedTuple):
@@ -95,12 +101,15 @@ def findings(picture: Picture, rules: Rules, bounds: Bounds) -> list[Finding]:
     """
     found = [finding for row in picture.rows for finding in _of_one(picture, row, bounds)]
     rows = np.array(picture.rows, dtype=int)
-    fresh = rows[picture.now_s - picture.position_at_s[rows] < STALE_S].tolist()
+    fresh = rows[picture.located.age_s[rows] < STALE_S].tolist()
     places = picture.positions_enu_m[fresh]
+    unsure_m = picture.located.sigma_m[fresh] - POSITION_SIGMA_M  # by age: what is noise in every sample stays
     for (first, second), distance_m in _close_pairs(places, rules.separation_m):
+        if distance_m + unsure_m[first] + unsure_m[second] >= rules.separation_m:
+            continue
         pair = picture.vehicles[fresh[first]].address, picture.vehicles[fresh[second]].address
         found.append(Finding(FaultKind.SEPARATION, pair, size=distance_m))
-    for row, excess_m in zip(fresh, rules.fence.excess_m(places).tolist(), strict=True):
+    for row, excess_m in zip(fresh, (rules.fence.excess_m(places) - unsure_m).tolist(), strict=True):
         if outside(excess_m - FENCE_SLACK_M):
             found.append(Finding(FaultKind.FENCE, (picture.vehicles[row].address,), size=excess_m))
     return found
@@ -111,15 +120,16 @@ def _of_one(picture: Picture, row: int, bounds: Bounds) -> Iterator[Finding]:
     vehicle, now_s = picture.vehicles[row], picture.now_s
     address = (vehicle.address,)
     silent_s = now_s - vehicle.heard_at_s
+    delay_s = delay_of(vehicle)
     given_up_s = max(vehicle.stream_timeout_s, bounds.silent_s) + SPARE_S
-    if silent_s > given_up_s:
+    if silent_s > given_up_s + delay_s:
         yield Finding(FaultKind.LOST, address)
         return
-    if silent_s > bounds.silent_s:
+    if silent_s > bounds.silent_s + delay_s:
         yield Finding(FaultKind.SILENT, address)
-    elif now_s - picture.position_at_s[row] > given_up_s:
+    elif picture.located.age_s[row] > given_up_s + delay_s:
         yield Finding(FaultKind.LOST, address)
-    elif now_s - picture.position_at_s[row] > bounds.silent_s:
+    elif picture.located.age_s[row] > bounds.silent_s + delay_s:
         yield Finding(FaultKind.STUCK, address)
     if vehicle.phase is Phase.TAKEN:
         kind = FaultKind.OWN_FAILSAFE if tells_of_failsafe(vehicle, now_s) else FaultKind.TAKEN
@@ -132,6 +142,13 @@ def _of_one(picture: Picture, row: int, bounds: Bounds) -> Iterator[Finding]:
             yield Finding(FaultKind.OFF_COURSE, address, size=error_m)
     if vehicle.battery.remaining < bounds.battery_low:  # never true while unknown
         yield Finding(FaultKind.BATTERY, address, size=vehicle.battery.remaining)
+
+
+def delay_of(vehicle: Vehicle) -> float:
+    """Return how long its messages take on their way, as far as that is known [s]."""
+    quality = vehicle.timing.quality
+    delay_s = quality.delay_s + quality.jitter_s
+    return delay_s if math.isfinite(delay_s) else 0.0
 
 
 def tells_of_failsafe(vehicle: Vehicle, now_s: float) -> bool:

@@ -47,6 +47,10 @@ class VehicleSnapshot:
     speed_m_s: float | None
     battery: float | None  # share left, 0 to 1
     voltage_v: float | None  # of the battery
+    position_age_s: float | None = None  # since the position was true, by the vehicle's own stamps
+    loss_in: float | None = None  # share of its frames that are lost on the way to us, 0 to 1
+    loss_out: float | None = None  # share of ours
+    delay_s: float | None = None  # of one way, mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +104,7 @@ class CounterSnapshot:
     clashes: int
     errors: int
     late_ticks: int
+    refused: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +172,7 @@ def _read(kind: type[Any], found: dict[str, Any]) -> Any:  # noqa: ANN401 - of t
     """Return a dataclass from its fields; JSON's lists become tuples."""
     if not isinstance(found, dict):
         raise TypeError(f"{kind.__name__}: not an object")
-    return kind(**{field.name: _tuples(found[field.name]) for field in fields(kind)})
+    return kind(**{field.name: _tuples(found[field.name]) for field in fields(kind) if field.name in found})
 
 
 def _tuples(value: object) -> object:

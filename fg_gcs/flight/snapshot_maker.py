@@ -118,15 +118,21 @@ class SnapshotMaker:
         assert fleet is not None, "asked only when there is one"
         wanted = director.wanted_enu_m(now_s).tolist()
         leaders = frozenset() if plan is None else frozenset(plan.rim_of)
+        ages_s = fleet.states.ages_s(now_s).tolist()
         return tuple(
-            self._vehicle(vehicle, now_s, row in leaders, vector(wanted[row]))
+            self._vehicle(vehicle, now_s, ages_s[row], row in leaders, vector(wanted[row]))
             for row, vehicle in enumerate(fleet.vehicles)
         )
 
     def _vehicle(
-        self, vehicle: Vehicle, now_s: float, leader: bool, setpoint_enu_m: tuple[float, float, float] | None
+        self,
+        vehicle: Vehicle,
+        now_s: float,
+        age_s: float,
+        leader: bool,
+        setpoint_enu_m: tuple[float, float, float] | None,
     ) -> VehicleSnapshot:
-        fleet, velocity = self._director.fleet, vehicle.velocity_ned_m_s
+        fleet, velocity, link = self._director.fleet, vehicle.velocity_ned_m_s, vehicle.timing.quality
         assert fleet is not None, "asked only when there is one"
         speed_m_s = None if velocity is None else sum(part * part for part in velocity) ** 0.5
         return VehicleSnapshot(
@@ -146,6 +152,10 @@ class SnapshotMaker:
             speed_m_s=known(speed_m_s),
             battery=known(vehicle.battery.remaining),
             voltage_v=known(vehicle.battery.voltage_v),
+            position_age_s=known(age_s),
+            loss_in=known(link.loss_in),
+            loss_out=known(link.loss_out),
+            delay_s=known(link.delay_s),
         )
 
     def _formation(self) -> FormationSnapshot | None:

@@ -108,6 +108,7 @@ class TargetFollower:
             self._refused,
             substitutes,
             lambda text: journal.event("warning", text),
+            journal.recorder.unix_s,
         )
         self._time = journal.time
         self._wake = asyncio.Event()

@@ -98,8 +98,7 @@ class Watch:
             told[moved] = wanted.position_m
             speeds = np.linalg.norm(wanted.velocity_m_s, axis=1)
             self._told_speed_m_s[moved] = np.maximum(self._told_speed_m_s[moved], speeds)
-        places = fleet.positions_enu_m(now_s)
-        return Picture(fleet.vehicles, rows, places, fleet.states.position_at_s, told, self._told_speed_m_s, now_s)
+        return Picture(fleet.vehicles, rows, fleet.located(now_s), told, self._told_speed_m_s, now_s)
 
     def _confirmed(self, found: list[Finding], now_s: float) -> list[Finding]:
         """Return the findings of which courses count that were left for a while, and those that were left for good."""

@@ -5,7 +5,7 @@ import errno
 import re
 import socket
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -14,6 +14,7 @@ from typing import Final, cast
 from fg_gcs.errors import LinkError
 from fg_gcs.link.bulk import Bulk, Send, bulk_send_of
 from fg_gcs.link.clock import VirtualTimeLoop
+from fg_gcs.link.kernel_filter import attach, dropped_by_system
 from fg_gcs.wire.address import MAIN
 from fg_gcs.wire.framing import Frames
 
@@ -35,6 +36,7 @@ _RECEIVED_BYTES: Final = 12_500  # of a vehicle: 50 messages a second, each 1 kB
 _SENT_BYTES: Final = 1_000  # of a vehicle: one round of setpoints
 _MOST_DATAGRAM_BYTES: Final = 65536  # no datagram is longer
 _MOST_AT_ONCE: Final = 64  # datagrams read before the loop looks at its timers: half a millisecond of work
+_MOST_BYTES_AT_ONCE: Final = 4096  # and so much of theirs, which is a hundred short messages
 _TCP_QUEUE_BYTES: Final = 64 << 10  # a second of setpoints to 20 vehicles; older ones are worth nothing
 
 
@@ -157,6 +159,20 @@ class Wire(ABC):
         """Return what is too small for so many vehicles, a line for people each."""
         return []
 
+    def admit_only(self, known: Collection[Address] | None, share: float) -> bool:
+        """Let the system drop what comes from elsewhere, but for a share of the heartbeats; tell whether it can.
+
+        Args:
+            known: Where everything is taken from; None: from everywhere.
+            share: Of the heartbeats, 0 to 1.
+        """
+        return False
+
+    @property
+    def unread(self) -> int:
+        """Datagrams that the system has dropped before they were read, as far as it tells."""
+        return 0
+
     @abstractmethod
     def close(self) -> None:
         """Close it."""
@@ -179,6 +195,7 @@ class UdpWire(Wire):
         super().__init__(endpoint, on_data)
         self._socket = own
         self._bulk_send = bulk_send if own.family == socket.AF_INET else None
+        self._unread = 0
         self._loop = asyncio.get_running_loop()
         if endpoint.kind is Kind.UDP_OUT:
             self.remote = own.getpeername()
@@ -223,20 +240,33 @@ class UdpWire(Wire):
                 )
         return found
 
+    def admit_only(self, known: Collection[Address] | None, share: float) -> bool:
+        """Let the system drop what comes from elsewhere, see `fg_gcs.link.kernel_filter`."""
+        return attach(self._socket, known, share)
+
+    @property
+    def unread(self) -> int:
+        """Datagrams that the system has dropped: of strangers in a flood, or for want of room."""
+        if self._socket.fileno() >= 0:
+            self._unread = dropped_by_system(self._socket)
+        return self._unread
+
     def close(self) -> None:
         """Close the socket; may be called twice."""
+        self._unread = self.unread
         if self._socket.fileno() >= 0:
             self._loop.remove_reader(self._socket)
             self._socket.close()
 
     def _receive(self) -> None:
         """Hand in what waits (the loop calls this)."""
-        receive, hand_in = self._socket.recvfrom, self._on_data
+        receive, hand_in, left = self._socket.recvfrom, self._on_data, _MOST_BYTES_AT_ONCE
         try:
             for _ in range(_MOST_AT_ONCE):
                 data, address = receive(_MOST_DATAGRAM_BYTES)
                 hand_in(self, address, data)
-                if self._socket.fileno() < 0:  # closed by what came
+                left -= len(data)
+                if left <= 0 or self._socket.fileno() < 0:  # enough, or closed by what came
                     return
         except BlockingIOError:
             return

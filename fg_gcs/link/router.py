@@ -4,7 +4,7 @@ import asyncio
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from typing import Final, NamedTuple, Self, TypeVar
@@ -14,15 +14,26 @@ from numpy.typing import NDArray
 
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, in_rows, open_wire
+from fg_gcs.link.peers import MOST_WAITING, Peer, Peers
 from fg_gcs.wire import commands
-from fg_gcs.wire.address import VehicleAddress
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import profile_of
-from fg_gcs.wire.codec import GCS_SYSTEM, Codec, Frame, Message, is_known
-from fg_gcs.wire.framing import Frames, Sender, laid_out
+from fg_gcs.wire.codec import GCS_SYSTEM, Frame, Message, is_known
+from fg_gcs.wire.framing import Frames, LaidOut, Sender, laid_out
 from fg_gcs.wire.messages import HEARTBEAT
+from fg_gcs.wire.timing import timesync
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
-MOST_PEERS: Final = 2048  # addresses kept, twice a thousand vehicles; a flood of made-up senders fills no memory
+KEEP_ALIVE_S: Final = 0.5  # autopilots want one heartbeat a second; ArduPilot gives up after 5 s, ten lost in a row
+CLASH_S: Final = 10.0  # somebody else who has been silent for longer is not there any more
+MOST_WORK: Final = 512  # of reading one address's bytes before others have their turn: half a millisecond
+FLOOD: Final = 500  # datagrams of strangers within `FLOOD_WINDOW_S`: to read and drop more takes a share of a core
+FLOOD_WINDOW_S: Final = 0.1
+SHUT_S: Final = 10.0  # strangers are shut out by the system for so long, then it is seen whether they still come
+OPEN: Final = 4.0  # a share of heartbeats that says that all else is let in as well; a quarter of it is all of them
+STALE_S: Final = 0.02
+LEAST_SHARE: Final = 1.0 / 64.0  # of strangers' heartbeats that are let in at least
+_TIMESYNC_PEERS: Final = 256  # that are asked for their time in every period; more take turns
 _AUTOPILOT: Final = 1  # component id
 _MOST_AT_ONCE: Final = 50  # heartbeats sent, or vehicles looked at, before others have their turn: half a millisecond
 
@@ -52,6 +63,8 @@ class Counters(NamedTuple):
         unroutable: Frames for a vehicle that was never heard.
         clashes: Frames ignored because their vehicle is already heard from elsewhere in its network.
         errors: Errors the system reported for our sockets.
+        refused: Datagrams that were not read, or not to their end, because their sender sends too much, and those that
+            the system has dropped before.
     """
 
     frames_in: int
@@ -62,6 +75,7 @@ class Counters(NamedTuple):
     unroutable: int
     clashes: int
     errors: int
+    refused: int
 
     @classmethod
     def none(cls) -> Self:
@@ -69,20 +83,33 @@ class Counters(NamedTuple):
         return cls(*[0] * len(cls._fields))
 
 
-@dataclass(slots=True, eq=False)
-class Peer:
-    """One remote address: its own decoder and its own sequence numbers.
+class _Clash(NamedTuple):
+    """Somebody else who speaks under a vehicle's id."""
+
+    peer: Peer
+    since_s: float
+    at_s: float  # the last time
+
+
+@dataclass(slots=True)
+class _Gate:
+    """What is let in of strangers at one wire.
 
     Attributes:
-        vehicles: Those that speak from here, by their system ids.
+        share: Of their heartbeats, while nothing else is.
+        until_s: How long they are shut out.
+        count: Their datagrams since a time.
+        since_s: That time.
+        is_stale: The system does not know yet whom we know.
+        timer: For when their time is over.
     """
 
-    network: str
-    wire: Wire
-    address: Address
-    codec: Codec = field(default_factory=Codec)
-    sender: Sender = field(default_factory=Sender)
-    vehicles: dict[int, Vehicle] = field(default_factory=dict)
+    share: float = OPEN
+    until_s: float = -math.inf
+    count: int = 0
+    since_s: float = -math.inf
+    is_stale: bool = False
+    timer: asyncio.TimerHandle | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,19 +148,25 @@ class Router:
         notices: Lines for people, such as a lost connection, or two vehicles with one address (said once).
     """
 
-    def __init__(self, time: Callable[[], float], on_frame: OnFrame | None, tap: Tap | None) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, on_frame: OnFrame | None, tap: Tap | None) -> None:
         self.vehicles: dict[VehicleAddress, Vehicle] = {}
         self.notices: deque[str] = deque(maxlen=64)
         self.turned_s = -math.inf
         self._on_frame = on_frame
         self._tap = tap
         self._wires: list[Wire] = []
-        self._peers: dict[tuple[int, Address], Peer] = {}  # by wire (its id) and address
+        self._peers = Peers()
+        self._known = self._peers.known
+        self._unfinished: deque[Peer] = deque()  # those of whose bytes some wait to be read on
         self._routes: dict[VehicleAddress, Peer] = {}
         self._latest: Routes | None = None  # of the last round, while no vehicle has moved
-        self._clashing: set[VehicleAddress] = set()
-        self._frames_out = self._unroutable = self._clashes = 0
-        self._time = time
+        self._clashing: dict[VehicleAddress, _Clash] = {}
+        self._told: set[VehicleAddress] = set()  # those of which people know that there are two
+        self._frames_out = self._unroutable = self._clashes = self._refused = 0
+        self._refusal_told = False  # of strangers
+        self._gates: dict[Wire, _Gate] = {}
+        self._loop = loop
+        self._time = loop.time
 
     @classmethod
     async def open(
@@ -150,14 +183,14 @@ class Router:
         Raises:
             LinkError: A port is taken, or a connection is refused; nothing stays open.
         """
-        router = cls(asyncio.get_running_loop().time, on_frame, tap)
+        router = cls(asyncio.get_running_loop(), on_frame, tap)
         try:
             for network, endpoints in networks.items():
                 for endpoint in endpoints:
                     wire = await open_wire(endpoint, partial(router._receive, network), router._changed)
                     router._wires.append(wire)
                     if wire.remote is not None:
-                        router._peer(network, wire, wire.remote)
+                        router._peers.settle(Peer(network, wire, wire.remote))
         except BaseException:
             router.close()
             raise
@@ -166,17 +199,28 @@ class Router:
     @property
     def counters(self) -> Counters:
         """What went through so far."""
-        codecs = [peer.codec for peer in self._peers.values()]
         return Counters(
-            frames_in=sum(codec.frames for codec in codecs),
+            frames_in=self._peers.frames,
             frames_out=self._frames_out,
-            bad_bytes=sum(codec.bad_bytes for codec in codecs),
-            unknown_messages=sum(codec.unknown_messages for codec in codecs),
+            bad_bytes=self._peers.bad_bytes,
+            unknown_messages=self._peers.unknown_messages,
             dropped=sum(wire.dropped for wire in self._wires),
             unroutable=self._unroutable,
             clashes=self._clashes,
             errors=sum(wire.errors for wire in self._wires),
+            refused=self._refused + sum(wire.unread for wire in self._wires),
         )
+
+    @property
+    def doubled(self) -> dict[VehicleAddress, str]:
+        """What tells that two vehicles have one system id in one network, in one line for people; by that address."""
+        lines = ((address, self._double_of(vehicle)) for address, vehicle in self.vehicles.items())
+        return {address: line for address, line in lines if line is not None}
+
+    def count_only(self, addresses: Iterable[VehicleAddress]) -> None:
+        """Let only these vehicles count from now on: what others send is read like strangers' bytes, a little of it."""
+        self._peers.count_only(addresses)
+        self._gates_are_stale()
 
     def routes(self, addresses: tuple[VehicleAddress, ...]) -> Routes:
         """Return the ways to these vehicles as they are now; to be asked for each round, as vehicles move.
@@ -214,20 +258,25 @@ class Router:
         else:
             self._send(peer, peer.sender.pack(message))
 
-    async def keep_alive(self, period_s: float = 1.0) -> None:
-        """Send heartbeats and notice silent vehicles, for ever: run it as a task.
+    async def keep_alive(self, period_s: float = KEEP_ALIVE_S) -> None:
+        """Send heartbeats, ask for the time and notice silent vehicles, for ever: run it as a task.
 
         Heartbeats go to every address that a vehicle speaks from, and to whom we are to call first. A thousand take ten
         milliseconds: after every few of them, whoever else is due has a turn.
 
         Args:
-            period_s: Autopilots want one heartbeat a second.
+            period_s: How often [s].
         """
         heartbeat = laid_out(commands.heartbeat())
-        async for _, late_s in ticks(self._time(), period_s):
+        async for k, late_s in ticks(self._time(), period_s):
             self.turned_s = self._time()
-            called = [peer for peer in self._peers.values() if peer.wire.remote is not None]
-            for some in _batches(list(dict.fromkeys([*self._routes.values(), *called]))):
+            spoken = list(dict.fromkeys(self._routes.values()))
+            shares = 1 + len(spoken) // _TIMESYNC_PEERS
+            for some in _batches(spoken[k % shares :: shares]):
+                self._ask_for_time(some)
+                await asyncio.sleep(0.0)
+            called = [peer for peer in self._known.values() if peer.wire.remote is not None]
+            for some in _batches(list(dict.fromkeys([*spoken, *called]))):
                 for peer in some:
                     self._send(peer, peer.sender.finish(*heartbeat))
                 await asyncio.sleep(0.0)
@@ -235,7 +284,7 @@ class Router:
                 continue
             for vehicles in _batches(list(self.vehicles.values())):
                 for vehicle in vehicles:
-                    vehicle.watch(self._time())
+                    self._watch(vehicle)
                 await asyncio.sleep(0.0)
 
     def tell_shortages(self) -> None:
@@ -245,7 +294,8 @@ class Router:
             self.notices.extend(wire.shortages(count))
 
     def close(self) -> None:
-        """Close all sockets; may be called twice."""
+        """Close all sockets; may be called twice. What was not read yet is not read any more."""
+        self._unfinished.clear()
         for wire in self._wires:
             wire.close()
 
@@ -255,31 +305,138 @@ class Router:
         if self._tap is not None:
             self._tap(Direction.OUT, (data,), self._time())
 
-    def _peer(self, network: str, wire: Wire, address: Address) -> Peer | None:
-        key = (id(wire), address)
-        peer = self._peers.get(key)
-        if peer is None and len(self._peers) < MOST_PEERS:
-            peer = self._peers[key] = Peer(network, wire, address)
-        return peer
+    def _ask_for_time(self, peers: Sequence[Peer]) -> None:
+        now_s = self._time()
+        said_ns = round(now_s * 1e9)
+        request: LaidOut = laid_out(timesync(said_ns))
+        for peer in peers:
+            self._send(peer, peer.sender.finish(*request))
+            for vehicle in peer.vehicles.values():
+                vehicle.timing.asked(said_ns, now_s)
+
+    def _watch(self, vehicle: Vehicle) -> None:
+        """Notice what only time shows: silence, losses, another vehicle under the same id."""
+        now_s = self._time()
+        vehicle.watch(now_s)
+        vehicle.timing.roll(now_s)
+        line = None if vehicle.address in self._told else self._double_of(vehicle)
+        if line is not None:
+            self._told.add(vehicle.address)
+            self.notices.append(line)
+
+    def _double_of(self, vehicle: Vehicle) -> str | None:
+        """Return what tells that another vehicle speaks under the same id now, in one line for people."""
+        address, clash = vehicle.address, self._clashing.get(vehicle.address)
+        if clash is not None and self._time() - clash.at_s < CLASH_S and vehicle.heard_at_s > clash.since_s:
+            return (
+                f"two vehicles have the system id {address}: at {self._routes[address].name} and at {clash.peer.name}"
+            )
+        reason = vehicle.timing.doubled
+        if reason is None:
+            return None
+        return f"two vehicles have the system id {address}, both at {self._routes[address].name}: {reason}"
 
     def _changed(self, wire: Wire, change: Change) -> None:
         """Tell people of a connection that broke or stands again; no message begins in one and ends in the next."""
         self.notices.append(f"{wire.endpoint}: {change.value}")
-        for peer in self._peers.values():
+        for peer in self._peers:
             if peer.wire is wire:
                 peer.codec.restart()
+                peer.waiting.clear()
 
     def _receive(self, network: str, wire: Wire, address: Address, data: bytes) -> None:
-        peer = self._peers.get((id(wire), address)) or self._peer(network, wire, address)
+        now_s, peer = self._time(), self._known.get((id(wire), address))
         if peer is None:
+            self._count_stranger(wire, now_s)
+            peer, size = self._peers.stranger(network, wire, address), len(data)
+            data = self._peers.readable(data, now_s)
+            if len(data) < size:
+                self._refuse(peer)
+        elif not peer.budget.take(len(data), peer.rate_s, now_s):
+            self._refuse(peer)
             return
-        now_s, frames = self._time(), peer.codec.receive(data)
+        if peer.codec.waiting or peer.waiting:
+            if len(peer.waiting) < MOST_WAITING:
+                peer.waiting.append(data)
+            else:
+                self._refuse(peer)
+            return
+        self._take(peer, peer.codec.receive(data, MOST_WORK), now_s)
+        if peer.codec.waiting:
+            self._put_off(peer)
+
+    def _count_stranger(self, wire: Wire, now_s: float) -> None:
+        """Count a stranger's datagram; if there are too many, let the system drop them, and then heartbeats as well."""
+        gate = self._gates.get(wire)
+        if gate is None:
+            gate = self._gates[wire] = _Gate()
+        if now_s - gate.since_s >= FLOOD_WINDOW_S:
+            gate.since_s, gate.count = now_s, 0
+        gate.count += 1
+        if gate.count == FLOOD:
+            gate.share = max(gate.share / 4.0, LEAST_SHARE)
+            gate.until_s = now_s + SHUT_S
+            self._shut(wire, gate)
+
+    def _shut(self, wire: Wire, gate: _Gate) -> None:
+        """Let the system drop what strangers send, and let them in again when their time is over."""
+        gate.is_stale = False
+        if gate.until_s > self._time():
+            wire.admit_only([peer.address for peer in self._known.values() if peer.wire is wire], gate.share)
+            if gate.timer is not None:
+                gate.timer.cancel()
+            gate.timer = self._loop.call_at(gate.until_s, self._shut, wire, gate)
+        elif gate.share != OPEN:
+            gate.share = OPEN
+            wire.admit_only(None, 0.0)
+
+    def _gates_are_stale(self) -> None:
+        """Let those through soon that have become known, all who do about now at once."""
+        for wire, gate in self._gates.items():
+            if gate.share != OPEN and not gate.is_stale:
+                gate.is_stale = True
+                self._loop.call_later(STALE_S, self._shut, wire, gate)
+
+    def _put_off(self, peer: Peer) -> None:
+        """Read a peer's bytes on after others have had their turn."""
+        if not self._unfinished:
+            self._loop.call_soon(self._go_on)
+        self._unfinished.append(peer)
+
+    def _go_on(self) -> None:
+        """Read some more of the bytes that wait (the loop calls this)."""
+        if not self._unfinished:  # closed
+            return
+        peer = self._unfinished.popleft()
+        if peer.codec.waiting or peer.waiting:
+            data = b"" if peer.codec.waiting else peer.waiting.popleft()
+            self._take(peer, peer.codec.receive(data, MOST_WORK), self._time())
+        if peer.codec.waiting or peer.waiting:
+            self._unfinished.append(peer)
+        if self._unfinished:
+            self._loop.call_soon(self._go_on)
+
+    def _refuse(self, peer: Peer) -> None:
+        """Count what is not read; tell people once of each address with vehicles, and once of strangers."""
+        self._refused += 1
+        if peer.vehicles and not peer.told:
+            peer.told = True
+            speakers = vehicles_named(vehicle.address for vehicle in peer.vehicles.values())
+            self.notices.append(f"too much comes from {speakers} at {peer.name}: some of it is not read")
+        elif not peer.vehicles and not self._refusal_told:
+            self._refusal_told = True
+            self.notices.append(f"too much comes from strangers such as {peer.name}: only heartbeats are read of it")
+
+    def _take(self, peer: Peer, frames: list[Frame], now_s: float) -> None:
         if self._tap is not None and frames:
             self._tap(Direction.IN, [frame.raw for frame in frames], now_s)
         for frame in frames:
-            if frame.component_id == _AUTOPILOT and is_known(frame):
-                vehicle = peer.vehicles.get(frame.system_id) or self._found(peer, frame, now_s)
-                if vehicle is not None:
+            if frame.component_id != _AUTOPILOT:
+                continue
+            vehicle = peer.vehicles.get(frame.system_id) or self._found(peer, frame, now_s)
+            if vehicle is not None:
+                vehicle.timing.sequence.add(frame.get_seq(), frame.raw[-2:], now_s)
+                if is_known(frame):
                     vehicle.handle(frame, now_s)
                     if self._on_frame is not None:
                         self._on_frame(vehicle, frame, now_s)
@@ -297,23 +454,34 @@ class Router:
             return None
         vehicle = self.vehicles[address] = peer.vehicles[frame.system_id] = Vehicle(address, profile, now_s)
         self._routes[address] = peer
+        self._peers.settle(peer)
+        self._gates_are_stale()
         return vehicle
 
     def _moved(self, vehicle: Vehicle, peer: Peer, frame: Frame, now_s: float) -> bool:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
-        if now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT:
-            del self._routes[vehicle.address].vehicles[vehicle.system_id]
+        before = self._routes[vehicle.address]
+        again = before.wire is peer.wire and before.address == peer.address  # it was forgotten among strangers
+        if again or (now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT):
+            before.vehicles.pop(vehicle.system_id, None)
+            if not again:
+                self._peers.settle(before)
             peer.vehicles[vehicle.system_id] = vehicle
             self._routes[vehicle.address] = peer
+            self._peers.settle(peer)
             self._latest = None
+            self._clashing.pop(vehicle.address, None)
+            self._gates_are_stale()
             return True
         self._clashes += 1
-        if vehicle.address not in self._clashing:
-            self._clashing.add(vehicle.address)
-            host, port = peer.address
-            self.notices.append(
-                f"two vehicles have the system id {vehicle.address}: the one at {host}:{port} is ignored"
-            )
+        clash = self._clashing.get(vehicle.address)
+        if clash is None or now_s - clash.at_s >= CLASH_S:
+            clash = _Clash(peer, now_s, now_s)
+        self._clashing[vehicle.address] = clash._replace(at_s=now_s)
+        if vehicle.address not in self._told:
+            self._told.add(vehicle.address)
+            line = f"two vehicles have the system id {vehicle.address}: the one at {peer.name} is ignored"
+            self.notices.append(line)
         return False
 
 

@@ -10,7 +10,7 @@ import csv
 import json
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
 from typing import Any, NamedTuple, NoReturn
 
@@ -67,13 +67,19 @@ class _RefusedError(Exception):
 
 
 def parse_datagram(
-    data: bytes, received_s: float, targets: Collection[str], sigma_m: float, began_s: float = 0.0
+    data: bytes,
+    received_s: float,
+    targets: Collection[str],
+    sigma_m: float,
+    began_s: float = 0.0,
+    age_s: Callable[[float], float] | None = None,
 ) -> Batch:
     """Read the sightings of a datagram, one JSON object a line; never raises.
 
-    Keys: ``target``; ``time_s``, when it was true in seconds since tracking began, or ``age_s``, how long ago that was
-    on arrival; ``position_enu_m``, three numbers; and, if wanted, either ``sigma_m``, one number or three, or
-    ``covariance_m2``, three rows of three. Other keys mean nothing. Empty lines are skipped.
+    Keys: ``target``; when it was true, one of ``stamp_unix_s`` in seconds of Unix time, ``age_s``, how long ago that
+    was on arrival, and ``time_s`` in seconds since tracking began; ``position_enu_m``, three numbers; and, if wanted,
+    either ``sigma_m``, one number or three, or ``covariance_m2``, three rows of three. Other keys mean nothing. Empty
+    lines are skipped.
 
     Args:
         data: the datagram.
@@ -81,13 +87,14 @@ def parse_datagram(
         targets: names that are known.
         sigma_m: standard deviation along each axis of a sighting that states none [m].
         began_s: when tracking began: what is added to ``time_s`` [s of the flight's clock].
+        age_s: turns ``stamp_unix_s`` into an age on arrival [s]; None: such stamps are refused.
     """
     lines = [line for line in data.split(b"\n") if line.strip()]
     sightings: list[Sighting] = []
     refused: Counter[Verdict] = Counter()
     for line in lines[:MOST_LINES]:
         try:
-            sightings.append(_sighting(line, received_s, targets, sigma_m, began_s))
+            sightings.append(_sighting(line, received_s, targets, sigma_m, began_s, age_s))
         except _RefusedError as refusal:
             refused[refusal.verdict] += 1
     if len(lines) > MOST_LINES:
@@ -137,7 +144,12 @@ def isotropic(sigma_m: float) -> Array:
 
 
 def _sighting(
-    line: bytes, received_s: float, targets: Collection[str], default_sigma_m: float, began_s: float
+    line: bytes,
+    received_s: float,
+    targets: Collection[str],
+    default_sigma_m: float,
+    began_s: float,
+    age_s: Callable[[float], float] | None,
 ) -> Sighting:
     """Read one line, or raise :class:`_RefusedError`."""
     if len(line) > MOST_BYTES:
@@ -148,13 +160,22 @@ def _sighting(
         raise _RefusedError(Verdict.MALFORMED) from error
     if not isinstance(told, dict) or not isinstance(told.get("target"), str):
         raise _RefusedError(Verdict.MALFORMED)
-    if ("time_s" in told) == ("age_s" in told) or ("sigma_m" in told and "covariance_m2" in told):
+    stamps = [key for key in ("time_s", "age_s", "stamp_unix_s") if key in told]
+    if len(stamps) != 1 or ("sigma_m" in told and "covariance_m2" in told):
         raise _RefusedError(Verdict.MALFORMED)
-    time_s = began_s + _number(told["time_s"]) if "time_s" in told else received_s - _number(told["age_s"])
     position = np.array(_numbers(told.get("position_enu_m"), 3))
     covariance = _told_covariance(told, default_sigma_m)
     if told["target"] not in targets:
         raise _RefusedError(Verdict.UNKNOWN_TARGET)
+    stamp = _number(told[stamps[0]])
+    if stamps[0] == "time_s":
+        time_s = began_s + stamp
+    elif stamps[0] == "age_s":
+        time_s = received_s - stamp
+    elif age_s is not None:
+        time_s = received_s - age_s(stamp)
+    else:
+        raise _RefusedError(Verdict.MALFORMED)
     return Sighting(told["target"], time_s, _read_only(position), covariance, received_s)
 
 

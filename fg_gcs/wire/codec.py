@@ -2,12 +2,14 @@
 
 Frames are cut out and checked here and not by pymavlink's own stream parser: after a false start byte that parser
 swallows up to 280 bytes, and with them whole good frames. Here a frame that does not check out costs one byte, so text
-noise (ArduPilot greets in plain text) and cut datagrams lose nothing behind them.
+noise (ArduPilot greets in plain text) and cut datagrams lose nothing behind them. Reading may stop after some work and
+go on later, so that no bytes, however many or hostile, hold a loop up.
 
 What a frame says is read only if it is asked for: most kinds never are, those that come often have readers of their
 own (`fg_gcs.wire.messages`), pymavlink reads the rest.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from struct import Struct
@@ -22,9 +24,12 @@ from fg_gcs.wire.messages import READERS
 GCS_SYSTEM: Final = 255  # ArduPilot's GCS failsafe listens to heartbeats of this system only
 GCS_COMPONENT: Final = 190  # MAV_COMP_ID_MISSIONPLANNER: PX4 explains a refused OFFBOARD only to this component
 
-MAGIC_V2: Final = 0xFD  # first byte of a frame of MAVLink 2
+MAGIC_V2: Final = 0xFD  # the first byte of a frame of MAVLink 2
+FALSE_START_WORK: Final = 1  # what a byte costs at which no frame begins: some two microseconds
+FRAME_WORK: Final = 8  # what a good frame costs, with all that is done with it
 
 _MAGIC_V1: Final = 0xFE
+_MAGICS: Final = (_MAGIC_V1, MAGIC_V2)
 _find_magic: Final = re.compile(b"[\xfd\xfe]").search
 _HEADER_V1_BYTES: Final = 6
 _HEADER_V2_BYTES: Final = 10
@@ -38,6 +43,11 @@ _checksum: Final = crc16.mcrf4xx
 # The byte of each kind of message that goes into the checksum behind all others, so that both sides mean the same kind
 _CRC_EXTRAS: Final[Mapping[int, bytes]] = MappingProxyType(
     {identity: bytes([kind.crc_extra]) for identity, kind in dialect.mavlink_map.items()}
+)
+_LENGTHS: Final[Mapping[int, int]] = (
+    MappingProxyType(  # the longest payload of each kind that the dialect knows [bytes]
+        {identity: kind.unpacker.size for identity, kind in dialect.mavlink_map.items()}
+    )
 )
 
 
@@ -118,83 +128,130 @@ def is_known(frame: Frame) -> bool:
 class Codec:
     """Bytes from one peer address to frames.
 
+    Args:
+        datagrams: The bytes come in datagrams, each of which holds whole frames: what is cut off at the end of one was
+            never a frame. Otherwise they are a stream, and an unfinished frame waits for its other half.
+
     Attributes:
         bad_bytes: Bytes thrown away because no good frame begins there.
         frames: Good frames so far, unknown ones included.
         unknown_messages: Frames whose message id the dialect does not know (PX4 sends some all the time).
+        waiting: Reading has stopped early, see `receive`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, datagrams: bool = False) -> None:
         self.bad_bytes = 0
         self.frames = 0
         self.unknown_messages = 0
-        self._rest = b""
+        self.waiting = False
+        self._datagrams = datagrams
+        self._buffer = b""
+        self._start = 0  # of what is not read yet
 
-    def receive(self, data: bytes) -> list[Frame]:
+    def receive(self, data: bytes, most_work: float = math.inf) -> list[Frame]:
         """Return the frames that ``data`` completes; never raises, whatever the bytes are.
 
-        Unknown messages are among them (see `is_known`), because the log wants their bytes. An unfinished frame is
-        kept until the next call.
+        Unknown messages are among them (see `is_known`), because the log wants their bytes. A frame with flags that
+        must be understood and are not is dropped whole: what its payload holds was said to somebody else.
+
+        Args:
+            data: What has come, or nothing to go on with what waits. While something waits, no new datagram is taken.
+            most_work: Stop after so much work, in `FALSE_START_WORK` and `FRAME_WORK`; what is left then waits.
         """
-        buffer = self._rest + data if self._rest else data
-        size = len(buffer)
+        buffer, start = data, 0
+        if self._buffer:
+            buffer, start = (self._buffer[self._start :] + data, 0) if data else (self._buffer, self._start)
+        size, bad_bytes, look = len(buffer), 0, self._look
         frames: list[Frame] = []
-        start = 0
-        while start < size:
-            magic = buffer[start]
-            if magic not in (_MAGIC_V1, MAGIC_V2):
-                found = _find_magic(buffer, start)
-                after = size if found is None else found.start()
-                self.bad_bytes += after - start
-                start = after
-                continue
-            end = _frame_end(buffer, start)
-            if end is not None and end > size:
-                break
-            frame = None if end is None else self._frame(buffer, start, end)
-            if end is None or frame is None:
-                self.bad_bytes += 1
-                start += 1
+        while start < size and most_work > 0:
+            found = look(buffer, start, size)
+            if found.__class__ is Frame:
+                frames.append(found)
+                start += len(found.raw)
+                most_work -= FRAME_WORK
+            elif found:
+                bad_bytes += found  # type: ignore[operator] # no frame, so a number; `isinstance` takes far longer
+                start += found  # type: ignore[operator]
+                most_work -= FALSE_START_WORK
             else:
-                frames.append(frame)
-                start = end
-        self._rest = buffer[start:]
-        self.frames += len(frames)
+                break
+        if frames:
+            self.frames += len(frames)
+        if bad_bytes:
+            self.bad_bytes += bad_bytes
+        if start == size:
+            self._buffer, self.waiting = b"", False
+        else:
+            self.waiting = most_work <= 0
+            self._buffer, self._start = (buffer, start) if self.waiting else (buffer[start:], 0)
         return frames
 
     def restart(self) -> None:
         """Throw an unfinished frame away: what comes next is not its other half, but a new connection's beginning."""
-        self.bad_bytes += len(self._rest)
-        self._rest = b""
+        if self._buffer:
+            self.bad_bytes += len(self._buffer) - self._start
+        self._buffer, self.waiting = b"", False
 
-    def _frame(self, buffer: bytes, start: int, end: int) -> Frame | None:
-        """Frame of the complete bytes ``[start, end)``, None if it does not check out."""
-        if buffer[start] == MAGIC_V2:
-            length, _, _, _, system_id, component_id, low, high = _unpack_v2(buffer, start)
-            message_id, begin = low | high << 16, start + _HEADER_V2_BYTES
-        else:
+    def _look(self, buffer: bytes, start: int, size: int) -> Frame | int:
+        """Return what begins at ``start``: a frame, or so many bytes that are none; 0 where more must come to tell."""
+        magic = buffer[start]
+        if magic == MAGIC_V2:
+            begin = start + _HEADER_V2_BYTES
+            if begin > size:
+                return self._datagrams
+            length, flags, _, _, system_id, component_id, low, high = _unpack_v2(buffer, start)
+            message_id = low | high << 16
+        elif magic == _MAGIC_V1:
+            begin, flags = start + _HEADER_V1_BYTES, 0
+            if begin > size:
+                return self._datagrams
             length, _, system_id, component_id, message_id = _unpack_v1(buffer, start)
-            begin = start + _HEADER_V1_BYTES
-        behind, crc_extra = begin + length, _CRC_EXTRAS.get(message_id)
+        else:
+            found = _find_magic(buffer, start)
+            return (size if found is None else found.start()) - start
+        behind = begin + length
+        end = behind + _CHECKSUM_BYTES
+        crc_extra = _CRC_EXTRAS.get(message_id)
+        if flags:
+            end += _SIGNATURE_BYTES if flags & _SIGNED else 0
+            if flags != _SIGNED:
+                return self._flagged(buffer, start, behind, end, crc_extra)
+        if end > size:
+            if self._datagrams:
+                return 1
+            # A stream: wait for the rest, unless this looks like no frame and good ones are held back by it
+            waits = length <= _LENGTHS.get(message_id, -1) or not self._good_frame_behind(buffer, start, size)
+            return 0 if waits else 1
         if crc_extra is None:
             # Without the dialect's extra byte its checksum verifies nothing: it counts if a frame, or nothing, follows.
-            if end < len(buffer) and buffer[end] not in (_MAGIC_V1, MAGIC_V2):
-                return None
+            if end < size and buffer[end] not in _MAGICS:
+                return 1
             self.unknown_messages += 1
         elif _checksum(buffer[start + 1 : behind] + crc_extra) != buffer[behind] | buffer[behind + 1] << 8:
-            return None
+            return 1
         return Frame(buffer[start:end], message_id, system_id, component_id, buffer[begin:behind])
 
+    def _flagged(self, buffer: bytes, start: int, behind: int, end: int, crc_extra: bytes | None) -> int:
+        """Return how many bytes a frame takes that has unknown flags, one if these bytes are none; 0: see `_look`.
 
-def _frame_end(buffer: bytes, start: int) -> int | None:
-    """Index behind the frame at ``start`` (may lie beyond the buffer), None if no frame can begin there."""
-    if len(buffer) < start + 3:
-        return start + 3
-    if buffer[start] == _MAGIC_V1:
-        return start + _HEADER_V1_BYTES + buffer[start + 1] + _CHECKSUM_BYTES
-    end = start + _HEADER_V2_BYTES + buffer[start + 1] + _CHECKSUM_BYTES
-    incompatible = buffer[start + 2]
-    if incompatible == 0:
-        return end
-    # MAVLink 2: a frame with unknown incompatibility flags must be dropped
-    return end + _SIGNATURE_BYTES if incompatible == _SIGNED else None
+        The flags may change its checksum as well, so it counts, too, if a frame, or nothing, follows.
+        """
+        size = len(buffer)
+        if end > size:
+            return int(self._datagrams)
+        is_right = crc_extra is not None and _checksum(buffer[start + 1 : behind] + crc_extra) == int.from_bytes(
+            buffer[behind : behind + _CHECKSUM_BYTES], "little"
+        )
+        return end - start if is_right or end == size or buffer[end] in _MAGICS else 1
+
+    @classmethod
+    def _good_frame_behind(cls, buffer: bytes, start: int, size: int) -> bool:
+        """Tell whether a whole known frame that checks out begins somewhere behind ``start``."""
+        probe = cls(datagrams=True)
+        found = _find_magic(buffer, start + 1)
+        while found is not None:
+            frame = probe._look(buffer, found.start(), size)
+            if isinstance(frame, Frame) and is_known(frame):
+                return True
+            found = _find_magic(buffer, found.start() + 1)
+        return False

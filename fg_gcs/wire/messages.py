@@ -95,7 +95,15 @@ class GlobalPositionInt(NamedTuple):
     hdg: int  # [0.01 deg], 65535 unknown
 
 
+class Timesync(NamedTuple):
+    """TIMESYNC: a question for the time, or the answer."""
+
+    tc1: int  # [ns] time of who answers, 0 in a question
+    ts1: int  # [ns] time of who asks
+
+
 HEARTBEAT: Final[int] = dialect.MAVLINK_MSG_ID_HEARTBEAT
+GLOBAL_POSITION_INT: Final[int] = dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 LOCAL_POSITION_NED: Final[int] = dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 
 Reader = Callable[[bytes], Any]  # payload to a tuple or one of pymavlink's messages
@@ -122,6 +130,7 @@ READERS: Final[Mapping[int, Reader]] = MappingProxyType(
             (LocalPositionNed, dialect.MAVLink_local_position_ned_message),
             (Attitude, dialect.MAVLink_attitude_message),
             (GlobalPositionInt, dialect.MAVLink_global_position_int_message),
+            (Timesync, dialect.MAVLink_timesync_message),
         )
     }
 )

@@ -12,11 +12,20 @@ from fg_gcs.wire import params
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import AutopilotProfile, profile_of
 from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Frame, Message
-from fg_gcs.wire.messages import Attitude, CurrentMode, ExtendedSysState, Heartbeat, LocalPositionNed, SysStatus
+from fg_gcs.wire.messages import (
+    Attitude,
+    CurrentMode,
+    ExtendedSysState,
+    Heartbeat,
+    LocalPositionNed,
+    SysStatus,
+    Timesync,
+)
 from fg_gcs.wire.order import FrameOrder
 from fg_gcs.wire.phases import Phase, PhaseEvent, following
 from fg_gcs.wire.states import State, StateTable
 from fg_gcs.wire.texts import Text, TextAssembler
+from fg_gcs.wire.timing import LinkTiming
 
 LOST_AFTER_S: Final = 3.0  # three heartbeats at 1 Hz: one lost datagram is no lost vehicle
 MOST_PARAMETERS: Final = 4096  # real autopilots have up to 1,350; a flood of made-up names must not fill the memory
@@ -24,7 +33,6 @@ QUEUE_LENGTH: Final = 512  # texts and changes kept for whoever reads them; the 
 
 ARMING: Final = "arm"  # name of the request for it
 OVERTAKING_S: Final = 0.6  # what was sent so long before a heartbeat came had arrived when that heartbeat was sent
-RESTART_S: Final = 0.3  # positions of a clock that went back, without any other, for so long: it has started again
 _ARMS_S: Final = 5.0  # a vehicle that was asked to arm does so within that, if it does
 EVIDENCE: Final = 2  # reports in a row that it takes to believe what starts an alarm: one datagram may be a stale one
 
@@ -137,7 +145,9 @@ class Vehicle:
         armed: Motors armed.
         prearm_ok: Pre-arm checks are good *for the current mode*: choose the streaming mode first.
         landed_state: MAV_LANDED_STATE, 0 while unknown.
-        samples: Number of finite LOCAL_POSITION_NED so far: a new number is a new sample.
+        samples: Number of finite LOCAL_POSITION_NED so far, but for those that came too late: a new number is a new
+            sample.
+        timing: Loss, delay and jitter of its link, and its clock; whoever owns the link counts the frames there.
         origin: Origin of its local frame, None before the first GPS_GLOBAL_ORIGIN.
         battery: State of charge.
         params: Values of the parameters heard so far, by name.
@@ -176,6 +186,7 @@ class Vehicle:
         self.asked_at_s: dict[Hashable, float] = {}
         self.message_at_s: dict[int, float] = {}
         self.heard_at_s = now_s
+        self.timing = LinkTiming()
         self._states, self._row = StateTable(1), 0
         self._assembler = TextAssembler()
         self._accepted_modes: frozenset[int | None] | None = None  # None: nothing commanded, nothing to take over
@@ -183,8 +194,6 @@ class Vehicle:
         self._index = 0  # of the frame that is being read
         self._newest: dict[int | str, int] = {}  # indices of the newest frames that told of one thing
         self._arming_reports = self._foreign_modes = 0  # reports in a row
-        self._clock_ms = 0  # time stamp of the newest position
-        self._restart: tuple[int, float] | None = None  # the same of one that is older; since when such ones come [s]
 
     @property
     def system_id(self) -> int:
@@ -392,28 +401,25 @@ class Vehicle:
 
     def _on_position(self, message: LocalPositionNed, now_s: float) -> None:
         time_boot_ms, x, y, z, vx, vy, vz = message
-        if not math.isfinite(x + y + z + vx + vy + vz) or not self._is_of_now(time_boot_ms, now_s):
+        if not math.isfinite(x + y + z + vx + vy + vz):
             return
-        self._states.set_motion(self._row, x, y, z, vx, vy, vz, time_boot_ms / 1000.0, now_s)
+        boot_time_s = time_boot_ms / 1000.0
+        offset_s = self.timing.clock.stamped(boot_time_s, now_s)
+        if offset_s is None:  # older than the newest, or that again
+            return
+        self._states.set_motion(self._row, x, y, z, vx, vy, vz, boot_time_s, now_s)
+        self._states.set_measured(self._row, vx, vy, vz, boot_time_s + offset_s)
         self.samples += 1
         if not self.armed:
             self._states.set_ground(self._row, x, y, z)
 
-    def _is_of_now(self, clock_ms: int, now_s: float) -> bool:
-        """Tell whether a stamp goes on from the newest one; one that goes back is believed once it goes on there."""
-        restart, self._restart = self._restart, None
-        if clock_ms < self._clock_ms:
-            if restart is None or clock_ms < restart[0]:
-                restart = (clock_ms, now_s)
-            if now_s - restart[1] < RESTART_S:
-                self._restart = (clock_ms, restart[1])
-                return False
-        self._clock_ms = clock_ms
-        return True
-
     def _on_attitude(self, message: Attitude, now_s: float) -> None:
         if math.isfinite(message.yaw):
             self._states.set_yaw(self._row, message.yaw)
+
+    def _on_timesync(self, message: Timesync, now_s: float) -> None:
+        if message.tc1:  # otherwise it asks us
+            self.timing.answered(message.tc1, message.ts1, now_s)
 
     def _on_origin(self, message: Message, now_s: float) -> None:
         self.origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
@@ -451,6 +457,7 @@ class Vehicle:
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _on_landed_state,
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _on_position,
             dialect.MAVLINK_MSG_ID_ATTITUDE: _on_attitude,
+            dialect.MAVLINK_MSG_ID_TIMESYNC: _on_timesync,
             dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _on_origin,
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: _on_ack,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: _on_text,

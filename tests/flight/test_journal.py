@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 from pymavlink.dialects.v20 import all as dialect
@@ -26,7 +27,9 @@ def test_what_many_vehicles_say_alike_is_one_line(tmp_path: Path) -> None:
         for frame in Codec().receive(b"".join(map(sender.pack, said))):
             vehicle.handle(frame, 1.0)
     lines: list[tuple[str, str]] = []
-    router = Router(lambda: 1.0, None, None)
+    loop = asyncio.new_event_loop()
+    router = Router(loop, None, None)
+    loop.close()
     router.notices.append("something of the router's own")
     with Recorder(tmp_path, "", 0.0, 0.0) as recorder:
         recorder.listeners.append(lambda _time_s, kind, line: lines.append((kind, line)))

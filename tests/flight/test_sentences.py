@@ -17,6 +17,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import VehicleError
 from fg_gcs.flight.fleet import NotInTime, until
+from fg_gcs.flight.located import POSITION_SIGMA_M, Located
 from fg_gcs.flight.policy import FaultKind
 from fg_gcs.flight.preparation import not_ready
 from fg_gcs.flight.safety import STALE_S, Bounds, Finding, Picture, faults, findings
@@ -72,8 +73,9 @@ def test_vehicles_that_are_not_ready_for_one_reason_are_named_together() -> None
 def found(vehicles: Sequence[Vehicle], places: Array, now_s: float = 0.1, at_s: Array | None = None) -> list[Finding]:
     heard_at_s = np.array([vehicle.position_at_s for vehicle in vehicles]) if at_s is None else at_s
     nothing, slow = np.full((len(vehicles), 3), np.nan), np.zeros(len(vehicles))
-    rows = range(len(vehicles))
-    return findings(Picture(vehicles, rows, places, heard_at_s, nothing, slow, now_s), RULES, Bounds())
+    sure = np.full(len(vehicles), POSITION_SIGMA_M)
+    where = Located(now_s, places, np.zeros_like(places), now_s - heard_at_s, sure)
+    return findings(Picture(vehicles, range(len(vehicles)), where, nothing, slow, now_s), RULES, Bounds())
 
 
 def said(vehicles: Sequence[Vehicle], east_m: Sequence[float] = (0.0, 5.0, 10.0, 15.0, 20.0)) -> list[str]:

@@ -39,6 +39,7 @@ REAL = f'{PLACED}[targets.source]\nkind = "vehicle"\nsystem_id = 101\nendpoint =
 SIMULATED = f'{SCRIPT}[targets.source]\nkind = "vehicle"\nsystem_id = 101\nsimulated = true\n'
 LATENCY_S = 0.001  # of a datagram in virtual time
 BEGAN_S = 2.0
+EPOCH_S = 1.7e9  # Unix time when the loop's time is 0
 
 
 class Station:
@@ -52,7 +53,12 @@ class Station:
         self.truth: Array | None = None
         self.failures: list[str] = []
         self.sources = SightingSources(
-            mission.targets or [], self._take, self._refuse, Substitutes(), self.failures.append
+            mission.targets or [],
+            self._take,
+            self._refuse,
+            Substitutes(),
+            self.failures.append,
+            lambda now_s: EPOCH_S + now_s,
         )
 
     def _take(self, sighting: Sighting) -> None:
@@ -298,6 +304,150 @@ def test_a_real_vehicle_is_believed_as_old_as_stated(tmp_path: Path) -> None:
     assert sighting.covariance_m2 == pytest.approx(4.0 * np.eye(3))
     assert sighting.received_s - sighting.time_s == pytest.approx(0.3)
     assert station.sources.truth(np.zeros(1)) is None
+
+
+class Port:
+    """A sender that keeps its port."""
+
+    def __init__(self, transport: asyncio.DatagramTransport) -> None:
+        self._transport = transport
+
+    @classmethod
+    async def open(cls, port: int = PORT) -> Port:
+        transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+            asyncio.DatagramProtocol, remote_addr=("127.0.0.1", port)
+        )
+        return cls(transport)
+
+    def send(self, data: bytes) -> None:
+        self._transport.sendto(data)
+
+    def say(self, **line: object) -> None:
+        self.send(json.dumps({"target": "lead", "position_enu_m": [1.0, 2.0, 3.0], **line}).encode())
+
+
+@given(booted_s=st.floats(0.01, 4e6), behind_s=st.floats(0.0, 3.0))
+def test_a_vehicle_whose_link_falls_behind_is_as_old_as_it_says(
+    tmp_path_factory: pytest.TempPathFactory, booted_s: float, behind_s: float
+) -> None:
+    async def script(station: Station) -> None:
+        port, time_s = await Port.open(), asyncio.get_running_loop().time
+        for k in range(100):
+            true_s = time_s() - (behind_s if k >= 50 else 0.0)
+            stamp_ms = round(1e3 * (true_s + booted_s))
+            port.send(frame(dialect.MAVLink_global_position_int_message(stamp_ms, 5, 5, 5, 0, 0, 0, 0, 0)))
+            await asyncio.sleep(0.1)
+
+    mission = mission_of(tmp_path_factory.mktemp("behind"), REAL + "[targets.sensor]\ndelay_s = 0.3\n")
+    station = run(mission, script)
+    ages = [sighting.received_s - sighting.time_s for sighting in station.seen]
+    assert len(ages) == 100
+    assert ages[:50] == pytest.approx([0.3] * 50, abs=0.002)
+    assert ages[50:] == pytest.approx([0.3 + behind_s] * 50, abs=0.003)
+    assert len(station.failures) == (behind_s > 1.002) or 0.998 < behind_s <= 1.002
+
+
+def test_a_vehicle_that_does_not_know_the_time_is_believed_on_arrival(tmp_path: Path) -> None:
+    async def script(station: Station) -> None:
+        port = await Port.open()
+        for _ in range(5):
+            port.send(frame(dialect.MAVLink_global_position_int_message(0, 5, 5, 5, 0, 0, 0, 0, 0)))
+            await asyncio.sleep(1.0)
+
+    seen = run(mission_of(tmp_path, REAL + "[targets.sensor]\ndelay_s = 0.3\n"), script).seen
+    assert [sighting.received_s - sighting.time_s for sighting in seen] == pytest.approx([0.3] * 5)
+
+
+def test_two_senders_of_one_target_have_a_clock_each(tmp_path: Path) -> None:
+    async def script(station: Station) -> None:
+        ports, time_s = [await Port.open(), await Port.open()], asyncio.get_running_loop().time
+        for _ in range(30):
+            for port, booted_s in zip(ports, (5.0, 5000.0), strict=True):
+                stamp_ms = round(1e3 * (time_s() + booted_s))
+                port.send(frame(dialect.MAVLink_global_position_int_message(stamp_ms, 5, 5, 5, 0, 0, 0, 0, 0)))
+                await asyncio.sleep(0.05)
+
+    station = run(mission_of(tmp_path, REAL + "[targets.sensor]\ndelay_s = 0\n"), script)
+    assert [s.received_s - s.time_s for s in station.seen] == pytest.approx([0.0] * 60, abs=0.002)
+    assert station.failures == []
+
+
+@pytest.mark.parametrize(("wrong_s", "told"), [(0.0, False), (-3600.0, True), (0.8, True), (86400.0, True)])
+def test_stamps_by_unix_time_are_ages_whatever_the_senders_clock(tmp_path: Path, wrong_s: float, told: bool) -> None:
+    async def script(station: Station) -> None:
+        port, time_s = await Port.open(), asyncio.get_running_loop().time
+        for k in range(40):
+            age_s = 0.2 if k == 20 else 2.0 if k > 30 else 0.3
+            port.say(stamp_unix_s=EPOCH_S + time_s() + wrong_s - age_s)
+            await asyncio.sleep(0.1)
+
+    station = run(mission_of(tmp_path, UDP), script)
+    ages = np.array([sighting.received_s - sighting.time_s for sighting in station.seen])
+    assert len(ages) == 40
+    least_s = 0.0 if told else 0.2  # of a clock that is wrong nobody knows how long its soonest sighting took
+    assert ages[31:] == pytest.approx(1.8 + least_s, abs=0.01)
+    (line,) = station.failures
+    assert ("are stamped by a clock" if told else "come 1.8 s later than they did") in line
+
+
+@pytest.mark.parametrize("targets", [UDP, REAL])
+def test_a_flood_of_senders_makes_no_source_deaf(tmp_path: Path, targets: str) -> None:
+    async def script(station: Station) -> None:
+        good = await Port.open()
+
+        def report() -> None:
+            if targets == UDP:
+                good.say(age_s=0.0)
+            else:
+                stamp_ms = round(1e3 * asyncio.get_running_loop().time())
+                good.send(frame(dialect.MAVLink_global_position_int_message(stamp_ms, 5, 5, 5, 0, 0, 0, 0, 0)))
+
+        foreign = b'{"target": "nobody"}' if targets == UDP else frame(position(5, 5), system_id=7)
+        strangers = [await Port.open() for _ in range(200)]
+        for stranger in strangers:  # first, and all the time
+            stranger.send(b"\xfe\0" * 100)
+        for _ in range(50):
+            for stranger in strangers:
+                stranger.send(b"x")
+                stranger.send(foreign)
+            report()
+            await asyncio.sleep(0.1)
+
+    station = run(mission_of(tmp_path, targets), script)
+    assert len(station.seen) == 50
+    assert station.refused[Verdict.FLOOD] > 10_000
+
+
+def test_sightings_in_reverse_order_are_handed_in_by_their_stamps_and_a_few_at_a_time(tmp_path: Path) -> None:
+    turns: list[int] = []
+
+    async def script(station: Station) -> None:
+        await asyncio.sleep(3.0)
+        loop, seen = asyncio.get_running_loop(), 0
+
+        def count() -> None:
+            nonlocal seen
+            turns.append(len(station.seen) - seen)
+            seen = len(station.seen)
+            if len(turns) < 400:
+                loop.call_soon(count)
+
+        port = await Port.open()
+        for first in (100, 0):
+            lines = [
+                {"target": "lead", "position_enu_m": [1.0, 2.0, 3.0], "age_s": 0.01 * k}
+                for k in range(first, first + 100)
+            ]
+            port.send("\n".join(json.dumps(line) for line in lines[::-1]).encode())
+        loop.call_later(0.0005, count)
+        await asyncio.sleep(0.1)
+
+    station = run(mission_of(tmp_path, UDP), script)
+    assert len(station.seen) == 200
+    stamps = np.array([sighting.time_s for sighting in station.seen])
+    late = np.diff(stamps) < 0.0
+    assert late.sum() < 30  # each of them makes the filter begin again
+    assert max(turns) <= 16
 
 
 def test_places_that_are_none_are_refused(tmp_path: Path) -> None:

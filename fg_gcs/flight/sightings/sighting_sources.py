@@ -48,7 +48,8 @@ class SightingSources:
         on_sighting: gets every sighting as it arrives; whether to believe it is not decided here.
         on_refused: gets reason and number of what arrived but was no sighting.
         substitutes: what comes in the place of the mission's sources.
-        on_failure: gets a line of text when a source of one's own fails.
+        on_failure: gets a line of text when a source of one's own fails, or when a sender's clock or link does.
+        unix_s: turns the loop's time into Unix time [s]; None: stamps by Unix time are refused.
 
     Raises:
         MissionError: a target's file cannot be read, or something in it is wrong.
@@ -61,6 +62,7 @@ class SightingSources:
         on_refused: OnRefused,
         substitutes: Substitutes,
         on_failure: Callable[[str], None],
+        unix_s: Callable[[float], float] | None = None,
     ) -> None:
         self.endpoints: dict[str, str] = {}
         self._sources: dict[str, SightingSource] = {}  # by target
@@ -83,12 +85,14 @@ class SightingSources:
                     self._sources[target.name] = TimedSource(_replayed(target), on_sighting, None)
                 case UdpSource(endpoint=endpoint):
                     self.endpoints[target.name] = endpoint
-                    self._sources[target.name] = DatagramSource(target, endpoint, on_sighting, on_refused)
+                    self._sources[target.name] = DatagramSource(
+                        target, endpoint, on_sighting, on_refused, on_failure, unix_s
+                    )
                 case VehicleSource(endpoint=own):
                     self.endpoints[target.name] = own or substitutes.simulated_endpoint
                     by_endpoint.setdefault(self.endpoints[target.name], []).append(target)
         for endpoint, vehicles in by_endpoint.items():
-            source = VehicleReportSource(vehicles, endpoint, on_sighting, on_refused)
+            source = VehicleReportSource(vehicles, endpoint, on_sighting, on_refused, on_failure)
             self._sources |= {target.name: source for target in vehicles}
         self._names = [target.name for target in targets]
 

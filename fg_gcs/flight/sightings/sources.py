@@ -8,24 +8,29 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
+from fg_gcs.flight.sightings.senders import SenderClocks, Senders, SightingQueue
 from fg_gcs.link.endpoint import Address, Wire, open_wire, parse_endpoint
 from fg_gcs.mission.target_tables import MovingTarget
 from fg_gcs.scenario.motions import TrueMotion
 from fg_gcs.scenario.sensor import Measurement
-from fg_gcs.track.sightings import Sighting, Verdict, parse_datagram
+from fg_gcs.track.sightings import MOST_LINES, Sighting, Verdict, parse_datagram
 
 OnSighting = Callable[[Sighting], None]
 OnRefused = Callable[[Verdict, int], None]
 
-WINDOW_S = 0.1  # datagrams are counted over so long: the pace of a sensor
-MOST_DATAGRAMS = 100  # in that time: 20 vehicles at 50 Hz; more would cost the streamer its deadlines
+LINES_AT_ONCE = 16  # of a datagram that are read before others have their turn: half a millisecond
+MOST_WAITING = 1000  # sightings that wait, or groups of lines; more are a flood
+BELIEVED_S = 5.0  # by so much a sender's clock, together with all delays, may be behind ours
+AHEAD_S = 0.05  # and by so much ahead: clocks that are set by a network are closer
 
 
 class SightingSource(Protocol):
@@ -108,12 +113,25 @@ class DatagramSource:
         endpoint: where.
         on_sighting: gets the sightings.
         on_refused: gets the reasons why lines gave none, and how many.
+        tell: gets lines for people about senders.
+        unix_s: turns the loop's time into Unix time [s]; None: stamps by Unix time are refused.
     """
 
-    def __init__(self, target: MovingTarget, endpoint: str, on_sighting: OnSighting, on_refused: OnRefused) -> None:
+    def __init__(
+        self,
+        target: MovingTarget,
+        endpoint: str,
+        on_sighting: OnSighting,
+        on_refused: OnRefused,
+        tell: Callable[[str], None],
+        unix_s: Callable[[float], float] | None,
+    ) -> None:
         self._target, self._endpoint = target, endpoint
-        self._on_sighting, self._on_refused = on_sighting, on_refused
-        self._rate_limiter = RateLimiter()
+        self._on_refused, self._unix_s = on_refused, unix_s
+        self._senders, self._clocks = Senders(), SenderClocks(tell)
+        self._queue = SightingQueue(on_sighting)
+        self._unread: deque[tuple[Address, float, bytes]] = deque()  # sender, when it came, and some lines
+        self._handle: asyncio.Handle | None = None
         self._wire: Wire | None = None
         self._began_s: float | None = None
 
@@ -138,8 +156,12 @@ class DatagramSource:
         return math.inf
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the port; what is not read yet is not read any more."""
         self._began_s = None
+        self._unread.clear()
+        self._queue.close()
+        if self._handle is not None:
+            self._handle.cancel()
         if self._wire is not None:
             self._wire.close()
 
@@ -147,30 +169,49 @@ class DatagramSource:
         if self._began_s is None:
             return
         now_s = asyncio.get_running_loop().time()
-        if self._rate_limiter.exceeded(now_s):
+        promising = data[:1] == b"{" and self._target.name.encode() in data
+        if self._senders.exceeded(address, promising, now_s) or len(self._queue) + len(self._unread) > MOST_WAITING:
             self._on_refused(Verdict.FLOOD, 1)
             return
-        sigma_m = self._target.sensor.sigma_m
-        batch = parse_datagram(data, now_s, (self._target.name,), sigma_m, self._began_s)
+        lines = [line for line in data.split(b"\n", MOST_LINES) if line.strip()]
+        if len(lines) > MOST_LINES:
+            self._on_refused(Verdict.FLOOD, 1 + lines.pop().count(b"\n"))
+        for start in range(0, len(lines), LINES_AT_ONCE):
+            self._unread.append((address, now_s, b"\n".join(lines[start : start + LINES_AT_ONCE])))
+        if self._handle is None:
+            self._read()
+
+    def _read(self) -> None:
+        """Read some lines; more in the turns that follow."""
+        self._handle = None
+        if self._began_s is None or not self._unread:
+            return
+        address, received_s, lines = self._unread.popleft()
+        batch = parse_datagram(
+            lines,
+            received_s,
+            (self._target.name,),
+            self._target.sensor.sigma_m,
+            self._began_s,
+            None if self._unix_s is None else partial(self._age_s, address, self._unix_s(received_s)),
+        )
+        if batch.sightings:
+            self._senders.sent_sightings(address, len(batch.sightings), received_s)
         for verdict, count in batch.refused.items():
             self._on_refused(verdict, count)
-        for sighting in batch.sightings:
-            self._on_sighting(sighting)
+        if self._unread:
+            self._handle = asyncio.get_running_loop().call_soon(self._read)
+        self._queue.put(batch.sightings)
 
-
-class RateLimiter:
-    """Counts datagrams, so that a flood of them does not cost more than counting."""
-
-    def __init__(self) -> None:
-        self._since_s = -math.inf
-        self._count = 0
-
-    def exceeded(self, now_s: float) -> bool:
-        """Count one more, and say whether they have become too many."""
-        if now_s - self._since_s >= WINDOW_S:
-            self._since_s, self._count = now_s, 0
-        self._count += 1
-        return self._count > MOST_DATAGRAMS
+    def _age_s(self, address: Address, unix_s: float, stamp_unix_s: float) -> float:
+        """Return how old a sighting is by its sender's Unix time [s]; a clock that is not set is corrected."""
+        wrong_s = self._clocks.offset_s(address, self._target.name, stamp_unix_s, unix_s)
+        if -AHEAD_S <= wrong_s <= BELIEVED_S:
+            return unix_s - stamp_unix_s
+        how = "ahead of" if wrong_s < 0.0 else "behind"
+        what = f"are stamped by a clock {abs(wrong_s):.1f} s {how} ours: that is taken off"
+        self._clocks.tell_once(address, self._target.name, what)
+        return unix_s - stamp_unix_s - wrong_s
 
 
 def shifted(sighting: Sighting, began_s: float, now_s: float) -> Sighting:

@@ -5,19 +5,23 @@ from __future__ import annotations
 import asyncio
 import math
 from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, enu_from_geodetic
-from fg_gcs.flight.sightings.sources import OnRefused, OnSighting, RateLimiter, shifted
+from fg_gcs.flight.sightings.senders import SenderClocks, Senders, SightingQueue
+from fg_gcs.flight.sightings.sources import OnRefused, OnSighting, shifted
 from fg_gcs.link.endpoint import Address, Wire, open_wire, parse_endpoint
 from fg_gcs.mission.target_tables import MovingTarget, VehicleSource
 from fg_gcs.scenario.sensor import Sensor
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
-from fg_gcs.wire.codec import Codec, Frame, is_known
+from fg_gcs.wire.codec import MAGIC_V2, Codec, Frame, is_known
+from fg_gcs.wire.messages import GLOBAL_POSITION_INT
 
-MOST_PEERS = 32  # senders kept; a flood of made-up ones must not fill the memory
+MOST_WORK = 512  # of reading one datagram, see `Codec.receive`: half a millisecond
 MOST_REPORTS = 2000  # kept of a simulated vehicle: at 100 Hz 10 s, and the truth is written down far sooner
 CARRIED_S = 1.0  # how far the last two reports say where a simulated vehicle goes on to
 MOST_ALTITUDE_M = 1e5  # nothing that flies on air is higher
@@ -26,18 +30,24 @@ MOST_ALTITUDE_M = 1e5  # nothing that flies on air is higher
 class VehicleReportSource:
     """MAVLink vehicles that say where they are, all that come to one port.
 
-    A simulated one tells the truth, which the target's sensor then spoils; of a real one what it says is a sighting,
-    as old as the sensor's delay says.
+    A simulated one tells the truth, which the target's sensor then spoils. Of a real one what it says is a sighting,
+    true when its own stamp says, less the sensor's delay: where its link falls behind, the stamps do.
 
     Args:
         targets: whose sources are vehicles.
         endpoint: where they come.
         on_sighting: gets the sightings.
         on_refused: gets the reasons why messages gave none, and how many.
+        tell: gets lines for people about senders.
     """
 
     def __init__(
-        self, targets: list[MovingTarget], endpoint: str, on_sighting: OnSighting, on_refused: OnRefused
+        self,
+        targets: list[MovingTarget],
+        endpoint: str,
+        on_sighting: OnSighting,
+        on_refused: OnRefused,
+        tell: Callable[[str], None],
     ) -> None:
         self._endpoint = endpoint
         self._on_sighting, self._on_refused = on_sighting, on_refused
@@ -52,8 +62,10 @@ class VehicleReportSource:
             if target.simulated
         }
         self._reports = {name: _Reports() for name in self._sensors}
-        self._codecs: dict[Address, Codec] = {}
-        self._rate_limiter = RateLimiter()
+        self._system_ids = frozenset(system_id for system_id, _ in self._vehicles)
+        self._codec = Codec(datagrams=True)  # nothing is kept from one to the next, so it serves all senders
+        self._senders, self._clocks = Senders(), SenderClocks(tell)
+        self._queue = SightingQueue(on_sighting)
         self._wire: Wire | None = None
         self._began: tuple[float, Geodetic] | None = None
 
@@ -81,6 +93,7 @@ class VehicleReportSource:
     def close(self) -> None:
         """Close the port; what a sensor still has under way is lost."""
         self._began = None
+        self._queue.close()
         if self._wire is not None:
             self._wire.close()
 
@@ -88,29 +101,35 @@ class VehicleReportSource:
         if self._began is None:
             return
         now_s = asyncio.get_running_loop().time()
-        if self._rate_limiter.exceeded(now_s):
+        promising = len(data) > 5 and (data[5] if data[0] == MAGIC_V2 else data[3]) in self._system_ids
+        if self._senders.exceeded(address, promising, now_s):
             self._on_refused(Verdict.FLOOD, 1)
             return
-        codec = self._codecs.get(address)
-        if codec is None:
-            if len(self._codecs) >= MOST_PEERS:
-                return
-            codec = self._codecs[address] = Codec()
-        for frame in codec.receive(data):
+        for frame in self._codec.receive(data, MOST_WORK):
             target = self._vehicles.get((frame.system_id, frame.get_type())) if is_known(frame) else None
             if target is not None:
-                self._take(target, frame, now_s, *self._began)
+                self._senders.sent_sightings(address, 1, now_s)
+                self._take(target, frame, address, now_s, *self._began)
+        if self._codec.waiting:
+            self._codec.restart()
+            self._on_refused(Verdict.FLOOD, 1)
 
-    def _take(self, target: MovingTarget, frame: Frame, now_s: float, began_s: float, origin: Geodetic) -> None:
-        place = _place(frame)
+    def _take(
+        self, target: MovingTarget, frame: Frame, address: Address, now_s: float, began_s: float, origin: Geodetic
+    ) -> None:
+        said = frame.fields()
+        place = _place(frame, said)
         if place is None:
             self._on_refused(Verdict.MALFORMED, 1)
             return
         position = enu_from_geodetic(place, origin)
         sensor = self._sensors.get(target.name)
         if sensor is None:
-            covariance = isotropic(target.sensor.sigma_m)
-            self._on_sighting(Sighting(target.name, now_s - target.sensor.delay_s, position, covariance, now_s))
+            covariance, true_s = isotropic(target.sensor.sigma_m), now_s
+            stamp_s = (said.time_boot_ms if frame.message_id == GLOBAL_POSITION_INT else said.timestamp) / 1e3
+            if stamp_s > 0.0:  # otherwise it does not know the time
+                true_s = stamp_s + self._clocks.offset_s(address, target.name, stamp_s, now_s)
+            self._queue.put([Sighting(target.name, true_s - target.sensor.delay_s, position, covariance, now_s)])
             return
         self._reports[target.name].add(now_s, position)
         sighting = sensor.measure(now_s - began_s, position)
@@ -157,10 +176,9 @@ class _Reports:
         return np.stack([np.interp(time_s, times, axis, left=np.nan, right=np.nan) for axis in positions.T], axis=1)
 
 
-def _place(frame: Frame) -> Geodetic | None:
+def _place(frame: Frame, said: Any) -> Geodetic | None:  # noqa: ANN401 - depends on the message
     """Return where a GLOBAL_POSITION_INT or a FOLLOW_TARGET says that its sender is, None if that is no place."""
-    said = frame.fields()
-    altitude_m = said.alt / 1e3 if frame.get_type() == "GLOBAL_POSITION_INT" else said.alt
+    altitude_m = said.alt / 1e3 if frame.message_id == GLOBAL_POSITION_INT else said.alt
     place = Geodetic(said.lat / 1e7, said.lon / 1e7, altitude_m)
     unknown = place.latitude_deg == place.longitude_deg == 0.0  # what vehicles say before they know
     inside = abs(place.latitude_deg) <= 90.0 and abs(place.longitude_deg) <= 180.0 and abs(altitude_m) < MOST_ALTITUDE_M

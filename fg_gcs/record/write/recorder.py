@@ -190,6 +190,10 @@ class Recorder:
         """Return the run's time of a reading of the clock, or of many [s]."""
         return now_s - self._start_s
 
+    def unix_s(self, now_s: float) -> float:
+        """Return the Unix time of a reading of the clock [s]."""
+        return self._epoch_s + now_s - self._start_s
+
     def frames(self, frames: Sequence[bytes], now_s: float) -> None:
         """Log whole MAVLink frames of either direction that passed at one time."""
         self._now_s = now_s - self._start_s
