@@ -7,11 +7,12 @@ PYTHON ?= $(firstword $(shell for name in python3 python3.13 python3.12 python3.
 	$$name -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$name; done))
 FLAGS  := --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo test format clean
+.PHONY: help demo test trial format clean
 
 help:
 	@echo "make demo    install what is needed, then fly nine simulated vehicles around a moving target"
 	@echo "make test    install what is needed, then check format, lint and types and run all tests"
+	@echo "make trial   install what is needed, then fly a thousand seeded flights with faults"
 	@echo "make format  rewrite the sources in the project's format"
 	@echo "make clean   remove the virtual environment and all caches"
 
@@ -24,6 +25,10 @@ test: $(VENV)/.dev
 	@echo "== lint";    $(BIN)/ruff check .
 	@echo "== types";   $(BIN)/mypy
 	@echo "== tests";   $(BIN)/pytest -n auto --dist worksteal
+
+# A thousand flights with random faults, judged by the simulator's truth: some twenty minutes on two cores
+trial: $(VENV)/.runtime
+	@$(BIN)/fg-gcs trial missions/*.toml --count 1000 --jobs $$(nproc)
 
 format: $(VENV)/.dev
 	$(BIN)/ruff format .

@@ -30,6 +30,7 @@ examples:
   fg-gcs bench record                                what recording nine vehicles takes of a core
   fg-gcs bench stream                                setpoints beside other ground stations and a bare loop
   fg-gcs bench sim                                   the simulator alone, and whole flights with it
+  fg-gcs trial missions/*.toml --count 100           flights with random faults, judged by the simulator's truth
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
 exit codes: 0 done, 1 the flight was aborted, and every vehicle is down, 2 bad input, 3 no vehicle answered,
@@ -44,6 +45,15 @@ STREAM_EPILOG = """examples:
   fg-gcs bench stream --json --seconds 30            longer, and one JSON object for programs
 
 Vehicles are played by a small process of their own, which sends frames made beforehand and counts what comes.
+"""
+
+
+TRIAL_EPILOG = """examples:
+  fg-gcs trial missions/*.toml --count 1000 --jobs 2   a thousand flights with faults, on two cores
+  fg-gcs trial missions/demo.toml --only 17            seed 17 again, alone, with all that was said
+  fg-gcs trial missions/sitl.toml --dynamics measured --autopilot px4
+
+exit codes: 0 no law was broken, 5 one was, 2 bad input
 """
 
 
@@ -72,6 +82,7 @@ def parser() -> argparse.ArgumentParser:
     _add_sim(commands)
     _add_experiment(commands)
     _add_bench(commands)
+    _add_trial(commands)
     report = commands.add_parser("report", help="write a run's report again", description="Write a report again.")
     report.add_argument("log", type=Path, metavar="LOG", help="folder of a recorded run")
     return top
@@ -146,6 +157,29 @@ def _add_sim(commands: Commands) -> None:
     sim.epilog = EXAMPLES.replace("python -m sitl_mock", "fg-gcs sim")
     sim.formatter_class = argparse.RawDescriptionHelpFormatter
     add_arguments(sim)
+
+
+def _add_trial(commands: Commands) -> None:
+    trial = commands.add_parser(
+        "trial",
+        help="fly with random faults, judged by the truth",
+        description="Fly missions in virtual time with one or two random faults each, and judge every flight by the "
+        "simulator's truth: no two vehicles meet, none is left in the air. One line a seed that breaks a law.",
+        epilog=TRIAL_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    trial.add_argument("missions", type=Path, nargs="+", metavar="MISSION", help="mission file; each seed picks one")
+    trial.add_argument("--count", type=_count, default=100, metavar="N", help="trials (default: %(default)s)")
+    trial.add_argument("--seed", type=int, default=0, metavar="S", help="of the first trial (default: %(default)s)")
+    trial.add_argument("--only", type=int, metavar="S", dest="single", help="fly this seed alone, and tell everything")
+    trial.add_argument("--jobs", type=_jobs, default=1, metavar="N", help="processes (default: %(default)s)")
+    trial.add_argument(
+        "--autopilot", action="append", choices=("px4", "ardupilot"), help="repeat for more (default: both)"
+    )
+    trial.add_argument(
+        "--dynamics", action="append", choices=("paper", "measured"), help="repeat for more (default: paper)"
+    )
+    trial.add_argument("--json", action="store_true", help="print one JSON object on stdout")
 
 
 def _add_experiment(commands: Commands) -> None:
@@ -305,6 +339,10 @@ def _run(chosen: argparse.Namespace) -> int:
             from fg_gcs.console import bench
 
             return bench.run(chosen)
+        case "trial":
+            from fg_gcs.console import trial
+
+            return trial.run(chosen)
         case "report":
             from fg_gcs.console.plan import report
 

@@ -313,8 +313,8 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
         lines.append(("recording", f"incomplete, and so are these figures: {summary['recording_failure']}"))
     if summary.get("vehicles_not_down"):
         lines.append(("not known to be down", vehicles_named(RunSummary(summary).vehicles("vehicles_not_down"))))
-    if summary["lost_vehicles"]:
-        lines.append(("lost", vehicles_named(RunSummary(summary).vehicles("lost_vehicles"))))
+    if summary["lost"]:
+        lines.append(("lost", vehicles_named(RunSummary(summary).vehicles("lost"))))
     return lines
 
 

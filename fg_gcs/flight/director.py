@@ -3,25 +3,43 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, geodetic_from_enu
-from fg_gcs.errors import MissionError, VehicleError
+from fg_gcs.errors import FgError, MissionError, PlanError, VehicleError
+from fg_gcs.flight.context import Context
+from fg_gcs.flight.custody import Custody
+from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.discovery import discover
-from fg_gcs.flight.fleet import Fleet
+from fg_gcs.flight.fleet import STEP_S, Fleet
 from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.link_recorder import LinkRecorder
+from fg_gcs.flight.policy import (
+    Fault,
+    FaultKind,
+    Part,
+    RequestKind,
+    Response,
+    Rung,
+    Situation,
+    refused,
+    respond,
+)
 from fg_gcs.flight.preparation import Failsafes, prepare, vehicle_limits
+from fg_gcs.flight.safety import Bounds
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
+from fg_gcs.flight.supervisor import Duty, Supervisor
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
+from fg_gcs.flight.watch import Watch
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Counters, Router
@@ -31,6 +49,13 @@ from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
 from fg_gcs.wire.phases import Phase
 
+STREAMER_DOG_S = 0.2  # without a sign of life a task hangs: what streams
+WATCH_DOG_S = 0.5  # what watches, and what brings vehicles down
+PLANNER_DOG_S = 2.0  # the inner loop: a plan takes milliseconds, and is begun every quarter of a second
+HEARTBEAT_DOG_S = 3.0  # our heartbeats, and the notice of silent vehicles
+BYSTANDER_DOG_S = 5.0  # what writes down
+TOLD: Mapping[Rung, str] = {Rung.LANDING: "landing apart from each other", Rung.LAND_NOW: "landing at once"}
+MOST_STOPS = 3  # asked so often to stop, the program ends without waiting for anybody to land
 DRAIN_S = 0.2  # how often everything is written down: soon enough for a person to read along, and after a crash
 
 
@@ -57,6 +82,7 @@ class FlightResult:
     vehicles_landed: int = 0
     lost: tuple[VehicleAddress, ...] = ()  # those that fell silent and did not come back
     not_down: tuple[VehicleAddress, ...] = ()  # those that are not known to be on the ground with their motors off
+    died: tuple[str, ...] = ()  # names of tasks of this program that raised or hung, and were started again
     late_ticks: int = 0
     counters: Counters | None = None
     tracking: TrackingSummary | None = None  # of missions with moving targets, once tracking has begun
@@ -87,12 +113,22 @@ class Director:
         self._router: Router | None = None
         self._link_recorder = LinkRecorder(recorder)
         self._setup = setup
-        self._interrupts: asyncio.Queue[str] = asyncio.Queue()
+        self._custody: Custody | None = None
+        self._rung = Rung.GO_ON
+        self._stops = 0
+        self._decision: _Decision | None = None
+        self._decided = asyncio.Event()
+        self._drained_s = -np.inf
         self._failure: BaseException | None = None
 
     def interrupt(self, reason: str) -> None:
-        """Stop the flight: the first time by flying home, a second time by landing on the spot."""
-        self._interrupts.put_nowait(reason)
+        """Stop the flight: first by flying home, then by a verified landing, the third time by landing at once."""
+        self._stops += 1
+        response = respond(RequestKind.STOP, self._situation)
+        if self._stops >= MOST_STOPS:
+            self._decision = _Decision(response, reason)
+            self._decided.set()
+        self._decide(response, reason)
 
     def fail(self, context: dict[str, Any]) -> None:
         """Take an exception that came up in a callback of the event loop: a fault of ours, so the flight ends.
@@ -102,7 +138,7 @@ class Director:
         error = context.get("exception") or RuntimeError(context["message"])
         if self._failure is None:
             self._failure = error
-            self.interrupt(f"internal error: {error!r}")
+            self._report(Fault(FaultKind.PROGRAM, (), f"internal error: {error!r}", self.journal.time()))
 
     @property
     def networks(self) -> tuple[str, ...]:
@@ -138,14 +174,17 @@ class Director:
             networks, on_frame=self._link_recorder.on_frame, tap=self._link_recorder.tap
         )
         self.journal.event("open", f"listening at {_places(networks)}")
-        background = [asyncio.create_task(router.keep_alive()), asyncio.create_task(self._drain(router))]
+        supervisor = Supervisor(self._report, self.journal)
         try:
             with short_collections():
-                await self._run(router, wanted, background)
+                async with supervisor:
+                    supervisor.start(_duty("heartbeat", router.keep_alive, lambda: router.turned_s, HEARTBEAT_DOG_S))
+                    supervisor.start(
+                        _duty("recorder", partial(self._drain, router), lambda: self._drained_s, BYSTANDER_DOG_S)
+                    )
+                    await self._run(router, wanted, supervisor)
         finally:
-            for task in background:
-                task.cancel()
-            await asyncio.gather(*background, return_exceptions=True)
+            self.result.died = tuple(name for name, _ in supervisor.deaths)
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
             self.result.stages = self.journal.stages
             self.result.counters = router.counters
@@ -157,11 +196,9 @@ class Director:
             raise self._failure
         return self.result
 
-    async def _run(
-        self, router: Router, wanted: tuple[VehicleAddress, ...] | None, background: list[asyncio.Task[None]]
-    ) -> None:
+    async def _run(self, router: Router, wanted: tuple[VehicleAddress, ...] | None, supervisor: Supervisor) -> None:
+        flights: list[Flight] = []
         failsafes: list[Failsafes] = []
-        sorties: list[Sortie] = []
 
         async def on_the_ground() -> None:
             fleet = await self._connect(router, wanted)
@@ -169,35 +206,156 @@ class Director:
                 task = await self._prepare(fleet, failsafes)
             with self.journal.in_stage("plan"):
                 plan = self._plan(fleet, task)
-                sortie = Sortie(fleet, self.mission, task, plan, self.journal, self.interrupt)
-                if self.mission.targets is not None:
-                    self.target_follower = await self._listen(sortie.streamer, task, plan)
-                sorties.append(sortie)
+                flights.append(await self._flight(fleet, task, plan))
 
         try:
-            await self._unless_interrupted(on_the_ground())
-            sortie = sorties[0]
-            self.streamer = sortie.streamer
-            self.streamer.after_round = self._good_moment
-            background += [asyncio.create_task(sortie.streamer.run()), asyncio.create_task(sortie.watch())]
-            if self.target_follower is None:
-                flight = sortie.fly()
-            else:
-                background.append(asyncio.create_task(self.target_follower.run()))
-                flight = sortie.track(self.target_follower, self._origin())
-            await self._unless_interrupted(self._all_alive(flight, background))
-            self.result.completed = True
-        except VehicleError as error:
-            self.result.reason = str(error)
-            self.journal.event("abort", f"aborting: {error}")
+            try:
+                await self._until_decided(on_the_ground())
+            except VehicleError as error:
+                self._abort(str(error))
+                return
+            if self._decision is not None:
+                self._abort(self._decision.text)
+                return
+            flight = flights[0]
+            self._start(flight, supervisor)
+            await self._conduct(flight)
         finally:
-            for sortie in sorties:
-                if not self.result.completed:
-                    await sortie.bring_down(self._unless_interrupted)
-                self.result.late_ticks = sortie.streamer.late_ticks
+            for flight in flights:
+                await self._bring_down(flight)
+                self.result.late_ticks = flight.context.streamer.late_ticks
             self._count()
             for failsafe in failsafes:
                 await self._put_back(failsafe)
+
+    # --- what is decided -----------------------------------------------------------------------------------------
+
+    def _report(self, fault: Fault) -> None:
+        """Take a fault; the policy says what follows."""
+        self._decide(respond(fault.kind, self._situation), fault.text)
+
+    def _stalled(self, seconds: float) -> None:
+        """Say that this program stood still; nothing that was planned for then is sent now."""
+        text = f"this program stood still for {seconds:.1f} s"
+        self.journal.event("fault", text, fault=FaultKind.STALL.value, vehicles=[], value=seconds)
+        self._report(Fault(FaultKind.STALL, (), text, self.journal.time(), seconds))
+
+    def _decide(self, response: Response, text: str) -> None:
+        rung = self._rung if self._decision is None else self._decision.response.rung
+        if response.rung > max(rung, Rung.HOLD) or (response.again and response.rung >= rung):
+            self._decision = _Decision(response, text)
+            self._decided.set()
+
+    @property
+    def _situation(self) -> Situation:
+        rung = self._rung if self._decision is None else self._decision.response.rung
+        return Situation(self._part, rung, self._stops)
+
+    @property
+    def _part(self) -> Part:
+        if self._custody is None or not self._custody.asked:
+            return Part.GROUND
+        return {"take-off": Part.TAKE_OFF, "land": Part.DESCENT}.get(self.journal.stage, Part.FLIGHT)
+
+    async def _until_decided(self, work: Coroutine[Any, Any, None]) -> None:
+        """Do the work, or end it as soon as something else is decided.
+
+        Raises:
+            Exception: what the work raises.
+        """
+        job, decided = asyncio.ensure_future(work), asyncio.ensure_future(self._decided.wait())
+        try:
+            await asyncio.wait((job, decided), return_when=asyncio.FIRST_COMPLETED)
+            if job.done():
+                job.result()
+        finally:
+            for future in (job, decided):
+                future.cancel()
+            await asyncio.gather(job, decided, return_exceptions=True)
+
+    async def _conduct(self, flight: Flight) -> None:
+        """Fly as planned, and whatever way down is decided, until there is nothing more to decide."""
+        work = flight.sortie.as_planned(self._origin())
+        while True:
+            try:
+                await self._until_decided(work)
+            except (VehicleError, PlanError) as error:
+                self._refuse(error)
+            if self._decision is None:
+                self.result.completed = self._rung is Rung.GO_ON
+                return
+            decision, self._decision = self._decision, None
+            self._decided.clear()
+            self._rung = decision.response.rung
+            self._abort(decision.text)
+            if self._stops >= MOST_STOPS:
+                await flight.sortie.let_go()
+                return
+            work = flight.sortie.way_down(self._rung)
+
+    def _refuse(self, error: FgError) -> None:
+        """Decide what follows when what is under way cannot be done: unless that is decided already, the next rung."""
+        if self._decision is not None:
+            return
+        if self._rung is Rung.GO_ON:
+            kind = FaultKind.TARGET if self.journal.stage in ("approach", "hold") else FaultKind.REFUSED
+            self._decide(respond(kind, self._situation), str(error))
+        elif self._rung is Rung.LAND_NOW:
+            self.journal.event("warning", str(error))
+        else:
+            self._decide(refused(self._situation), str(error))
+
+    def _abort(self, text: str) -> None:
+        """Tell why the flight does not go on as planned, or why it is now on another rung."""
+        if not self.result.reason:
+            self.result.reason = text
+        self.journal.event("abort", f"{TOLD.get(self._rung, 'aborting')}: {text}", rung=self._rung.name.lower())
+
+    # --- a flight and its end ------------------------------------------------------------------------------------
+
+    async def _flight(self, fleet: Fleet, task: Task, plan: FlightPlan) -> Flight:
+        """Put together what flies a plan; of a moving target its sources are open then."""
+        tops_enu_m = plan.gather.sample(np.zeros(1)).position_m[0]
+        custody = self._custody = Custody(fleet, tops_enu_m * (1.0, 1.0, 0.0), self.journal.time)
+        streamer = Streamer(fleet, self.journal.recorder, self.mission.stream.rate_hz)
+        context = Context(fleet, self.mission, task, tops_enu_m, streamer, custody, self.journal)
+        descents = Descents(context)
+        if self.mission.targets is not None:
+            self.target_follower = await self._listen(streamer, task, plan)
+        sortie = Sortie(context, plan, descents, self.target_follower)
+        faults = self.mission.faults
+        bounds = Bounds(faults.silent_s, faults.off_course_m, faults.battery_low)
+        watch = Watch(context, descents, bounds, self._report)
+        return Flight(context, sortie, descents, watch)
+
+    def _start(self, flight: Flight, supervisor: Supervisor) -> None:
+        """Start the tasks of a flight."""
+        streamer, descents, watch = flight.context.streamer, flight.descents, flight.watch
+        self.streamer = streamer
+        streamer.after_round = self._good_moment
+        streamer.stalled = self._stalled
+        again = FaultKind.STREAMER_AGAIN
+        supervisor.start(
+            Duty("streamer", streamer.run, lambda: streamer.turned_s, STREAMER_DOG_S, FaultKind.STREAMER, again)
+        )
+        home = FaultKind.PROGRAM
+        supervisor.start(Duty("watch", watch.run, lambda: watch.turned_s, WATCH_DOG_S, home, home))
+        supervisor.start(Duty("descents", descents.run, lambda: descents.turned_s, WATCH_DOG_S, home, home))
+        follower = self.target_follower
+        if follower is not None:
+            planner = FaultKind.PLANNER
+            supervisor.start(Duty("planner", follower.run, lambda: follower.turned_s, PLANNER_DOG_S, planner, planner))
+
+    async def _bring_down(self, flight: Flight) -> None:
+        """Stay until every vehicle that was asked to arm is down, or was silent for longer than landing takes.
+
+        Whoever else has a vehicle may bring it down; if it only hovers, it is landed after a while.
+        """
+        descents, asked = flight.descents, sorted(flight.context.custody.asked)
+        descents.begin(asked)
+        async for _ in ticks(self.journal.time(), STEP_S):
+            if all(descents.is_down(row) or row in descents.given_up for row in asked) or self._stops >= MOST_STOPS:
+                return
 
     def _wanted(self) -> tuple[VehicleAddress, ...] | None:
         """Return the vehicles that the mission names; None where any will do.
@@ -291,41 +449,10 @@ class Director:
             return self.mission.origin_geodetic()
         return geodetic_from_enu(-np.array(self.fleet.frames[0].origin_enu_m), Geodetic(*own))
 
-    async def _unless_interrupted(self, work: Awaitable[None]) -> None:
-        """Do the work, or stop it at the next interrupt.
-
-        Raises:
-            VehicleError: it was interrupted; says by what.
-        """
-        job = asyncio.ensure_future(work)
-        stop = asyncio.ensure_future(self._interrupts.get())
-        try:
-            await asyncio.wait((job, stop), return_when=asyncio.FIRST_COMPLETED)
-            if stop.done() and not job.done():
-                raise VehicleError(stop.result())
-            await job
-        finally:
-            for future in (job, stop):
-                future.cancel()
-            await asyncio.gather(job, stop, return_exceptions=True)
-
-    @staticmethod
-    async def _all_alive(work: Awaitable[None], background: list[asyncio.Task[None]]) -> None:
-        """Do the work; a background task that ends, ends it too: none of them ever ends but by a fault of ours."""
-        job = asyncio.ensure_future(work)
-        try:
-            await asyncio.wait((job, *background), return_when=asyncio.FIRST_COMPLETED)
-            for task in background:
-                if task.done():
-                    task.result()
-            await job
-        finally:
-            job.cancel()
-            await asyncio.gather(job, return_exceptions=True)
-
     async def _drain(self, router: Router) -> None:
         """Write down what vehicles and router say while it happens, and all tables: run it as a task."""
         async for _ in ticks(self.journal.time(), DRAIN_S):
+            self._drained_s = self.journal.time()
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
             if self.target_follower is not None:
                 self.target_follower.record_truth()
@@ -345,9 +472,35 @@ class Director:
 
     def _count(self) -> None:
         vehicles = self.fleet.vehicles if self.fleet else ()
-        self.result.lost = tuple(vehicle.address for vehicle in vehicles if vehicle.phase is Phase.LOST)
+        given_up = () if self._custody is None else self._custody.lost
+        gone = {vehicle.address for vehicle in vehicles if vehicle.phase is Phase.LOST}
+        self.result.lost = tuple(sorted(gone | {vehicles[row].address for row in given_up}))
         self.result.not_down = tuple(v.address for v in vehicles if v.armed or v.phase is Phase.LOST)
         self.result.vehicles_landed = sum(not v.armed and v.phase is Phase.LANDED for v in vehicles)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What flies a plan."""
+
+    context: Context
+    sortie: Sortie
+    descents: Descents
+    watch: Watch
+
+
+class _Decision(NamedTuple):
+    """What was decided, and why."""
+
+    response: Response
+    text: str
+
+
+def _duty(
+    name: str, work: Callable[[], Coroutine[Any, Any, None]], turned_s: Callable[[], float], watchdog_s: float
+) -> Duty:
+    """Return the duty of a task whose death changes nothing of the flight: it is told, and started again."""
+    return Duty(name, work, turned_s, watchdog_s, FaultKind.BYSTANDER, FaultKind.BYSTANDER)
 
 
 def _places(networks: Mapping[str, tuple[Endpoint, ...]]) -> str:

@@ -14,6 +14,8 @@ from fg_gcs.plan.trajectory import Sample
 from fg_gcs.plan.verification import CheckedPlan, yaw_towards
 from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
 
+AHEAD_S = 2.0  # how far a plan is looked ahead for the speed from which it has to stop
+
 
 class SwarmSetpoint(NamedTuple):
     """What V vehicles should be doing at one instant; each array of shape (V, 3) but the yaw."""
@@ -66,60 +68,129 @@ class Rest:
         return self._wanted
 
 
+class Pace(NamedTuple):
+    """How fast a plan's time passes: from ``begin_s`` on it changes within ``lasts_s`` to another rate, smoothly.
+
+    The rate is a cubic with given values and slopes at both ends, the last slope 0. A rate r multiplies speeds;
+    accelerations become ``a r^2 + v r'``.
+    """
+
+    begin_s: float  # the clock's reading [s]
+    plan_s: float  # the plan's time then [s]
+    before: float = 1.0  # rate then
+    slope: float = 0.0  # its derivative then [1/s]
+    after: float = 1.0  # rate in the end
+    lasts_s: float = 0.0
+
+    def at(self, now_s: float) -> tuple[float, float, float]:
+        """Return the plan's time [s], its rate, and the rate's derivative [1/s]."""
+        _, plan_s, before, slope, after, lasts_s = self
+        passed_s = now_s - self.begin_s
+        if passed_s >= lasts_s:
+            whole_s = lasts_s * (0.5 * (before + after) + slope * lasts_s / 12.0)
+            return plan_s + whole_s + after * (passed_s - lasts_s), after, 0.0
+        if passed_s <= 0.0:
+            return plan_s + before * passed_s, before, slope
+        x, change, kick = passed_s / lasts_s, after - before, slope * lasts_s
+        rate = before + kick * x * (1.0 - x) ** 2 + change * x**2 * (3.0 - 2.0 * x)
+        rate_dot = (kick * (1.0 - x) * (1.0 - 3.0 * x) + change * 6.0 * x * (1.0 - x)) / lasts_s
+        area = before * x + kick * x**2 * (0.5 - x * (2.0 / 3.0 - 0.25 * x)) + change * x**3 * (1.0 - 0.5 * x)
+        return plan_s + lasts_s * area, rate, rate_dot
+
+    def when(self, plan_s: float) -> float:
+        """Return the clock's reading at which the plan's time is reached once the rate is steady; infinite if never."""
+        end_s, rate, _ = self.at(self.begin_s + self.lasts_s)
+        return self.begin_s + self.lasts_s + max(plan_s - end_s, 0.0) / rate if rate > 0.0 else np.inf
+
+
 class Follow:
-    """Fly a checked plan from ``start_s`` on, and rest at its end."""
+    """Fly a checked plan, and rest at its end.
 
-    turns_from = None
+    It can come to rest on the plan's own path on the way, where the separation that is verified still holds, and go on
+    from there: the plan's time then passes slower and slower, or faster and faster.
 
-    def __init__(self, rows: Sequence[int], plan: CheckedPlan, start_s: float) -> None:
-        """Take the plan and the clock's reading at which it begins [s]."""
-        self.rows = rows
-        self.plan = plan
-        self.start_s = start_s
-
-    @property
-    def end_s(self) -> float:
-        """The clock's reading at which the plan ends [s]."""
-        return self.start_s + self.plan.duration_s
-
-    def at(self, now_s: float) -> SwarmSetpoint:
-        """Return the plan's sample."""
-        return _facing(self.plan, *_row(self.plan.sample(np.array([now_s - self.start_s]))))
-
-
-class Brake:
-    """Come to rest on a plan's own path, so that the separation it verifies still holds.
-
-    The plan's time runs slower and slower until it stands still: with the rate ``r(t)`` falling from 1 to 0 over the
-    braking time, speeds are multiplied by ``r`` and accelerations become ``a r^2 + v r'``.
+    Args:
+        rows: the fleet's rows that it moves.
+        plan: what is flown.
+        pace: when, and how fast its time passes.
     """
 
     turns_from = None
 
-    def __init__(self, motion: Follow, start_s: float) -> None:
-        """Begin to brake at a reading of the clock [s]."""
-        self.rows = motion.rows
-        self._plan = motion.plan
-        self._begin_s = start_s - motion.start_s
-        self.start_s = start_s
-        _, velocity, _ = _row(motion.plan.sample(np.array([self._begin_s])))
-        speed = float(np.linalg.norm(velocity, axis=1).max())
-        limit = max(motion.plan.peaks.acceleration_m_s2, 0.5)  # a plan that hardly accelerates still has to stop
-        self._duration_s = max(0.5, 2.0 * speed / limit)  # v r' then takes half of what the plan accelerates by
+    def __init__(self, rows: Sequence[int], plan: CheckedPlan, pace: Pace) -> None:
+        self.rows = rows
+        self.plan = plan
+        self.pace = pace
+
+    @classmethod
+    def from_now(cls, rows: Sequence[int], plan: CheckedPlan, now_s: float) -> Follow:
+        """Return the motion along a whole plan that begins at a reading of the clock [s]."""
+        return cls(rows, plan, Pace(now_s, 0.0))
 
     @property
     def end_s(self) -> float:
-        """The clock's reading at which everything is at rest [s]."""
-        return self.start_s + self._duration_s
+        """The clock's reading at which everything is at rest: at the plan's end, or before it [s]."""
+        if self.stops:
+            return self.pace.begin_s + self.pace.lasts_s
+        return self.pace.when(self.plan.duration_s)
+
+    @property
+    def stops(self) -> bool:
+        """Whether it comes to rest before the plan's end, or has."""
+        return self.pace.after == 0.0
+
+    def stopping(self, now_s: float) -> Follow:
+        """Return the motion that comes to rest from its present state on."""
+        return self._changing(now_s, 0.0)
+
+    def going_on(self, now_s: float) -> Follow:
+        """Return the motion that is at full speed again, from its rest on."""
+        return self._changing(now_s, 1.0)
+
+    def _changing(self, now_s: float, after: float) -> Follow:
+        plan_s, rate, slope = self.pace.at(now_s)
+        ahead_s = np.linspace(plan_s, plan_s + AHEAD_S, 20)
+        speed = float(np.linalg.norm(self.plan.sample(ahead_s).velocity_m_s, axis=2).max())
+        limit = max(self.plan.peaks.acceleration_m_s2, 0.5)  # a plan that hardly accelerates still has to stop
+        lasts_s = max(0.5, 4.0 * speed / limit)  # v r' is then at most 3/8 of what the plan accelerates by
+        return Follow(self.rows, self.plan, Pace(now_s, plan_s, rate, slope, after, lasts_s))
 
     def at(self, now_s: float) -> SwarmSetpoint:
-        """Return the slowed sample."""
-        passed = min(max(now_s - self.start_s, 0.0), self._duration_s)
-        rate = 1.0 - passed / self._duration_s
-        plan_s = self._begin_s + passed * (1.0 + rate) / 2.0
-        position, velocity, acceleration = _row(self._plan.sample(np.array([plan_s])))
-        braking = velocity / -self._duration_s if rate > 0.0 else np.zeros_like(velocity)
-        return _facing(self._plan, position, velocity * rate, acceleration * rate**2 + braking)
+        """Return the plan's sample."""
+        plan_s, rate, change = self.pace.at(now_s)
+        position, velocity, acceleration = _row(self.plan.sample(np.array([plan_s])))
+        if rate == 1.0 and change == 0.0:
+            return _facing(self.plan, position, velocity, acceleration)
+        return _facing(self.plan, position, velocity * rate, acceleration * rate**2 + velocity * change)
+
+
+class Beside:
+    """Fly a motion while others, which it does not move, stay where they were told to be.
+
+    Args:
+        motion: what the others fly.
+        rows: the fleet's rows of those that stay, none of them the motion's.
+        position_enu_m: where, shape (S, 3) [m; ENU].
+        yaw_rad: with which headings, shape (S,) [rad].
+    """
+
+    def __init__(self, motion: Motion, rows: Sequence[int], position_enu_m: Array, yaw_rad: Array) -> None:
+        self.rows = (*motion.rows, *rows)
+        self._motion = motion
+        self._stays = Rest(rows, position_enu_m, yaw_rad)
+
+    @property
+    def turns_from(self) -> Headings | None:
+        """As the motion's; those that stay do not turn."""
+        found = self._motion.turns_from
+        if found is None:
+            return None
+        return found._replace(yaw_rad=np.concatenate((found.yaw_rad, self._stays.at(0.0).yaw_rad)))
+
+    def at(self, now_s: float) -> SwarmSetpoint:
+        """Return what both say."""
+        both = zip(self._motion.at(now_s), self._stays.at(now_s), strict=True)
+        return SwarmSetpoint(*(np.concatenate(parts) for parts in both))
 
 
 class Gaze(NamedTuple):

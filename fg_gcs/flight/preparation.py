@@ -155,7 +155,7 @@ class Failsafes:
         self._report()
 
     async def put_back(self) -> None:
-        """Restore what was found on the vehicles that still answer.
+        """Restore what was found on the vehicles that are heard and seen disarmed: in the air each keeps its failsafe.
 
         Raises:
             VehicleError: a vehicle does not take its old value back.
@@ -163,7 +163,7 @@ class Failsafes:
         now_s = self._journal.time()
         heard = [vehicle for vehicle in self._fleet.vehicles if now_s - vehicle.heard_at_s < 1.0]
         await self._fleet.ask(
-            heard,
+            [vehicle for vehicle in heard if not vehicle.armed],
             lambda vehicle: [write_parameter(name, value) for owner, name, value in self._found if owner is vehicle],
             AT_ONCE,
         )

@@ -1,125 +1,168 @@
-"""What is watched during flight, and what follows from it: facts in, faults out, and one table of consequences."""
+"""What is watched during flight: facts in, findings and faults out; what follows from them says the policy."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from enum import Enum
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.flight.policy import Fault, FaultKind
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.rules import outside, too_close
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
-FENCE_SLACK_M = 0.5  # plans may touch the fence; a vehicle's tracking error is not yet a breach
-BATTERY_LOW = 0.15  # share left; real autopilots warn at 10 to 15 %
-STALE_S = 0.5  # positions older than this say nothing about the distance of a pair
+FENCE_SLACK_M: Final = 0.5  # plans may touch the fence; a vehicle's tracking error is not yet a breach
+STALE_S: Final = 0.5  # positions older than this say nothing about the distance of a pair
+SPARE_S: Final = 0.5  # on top of a vehicle's own time-out, before it is given up
+LAG_S: Final = 0.8  # of the way that a vehicle flies in so much time it may be behind: PX4 with its default drag
+FAILSAFE_WORDS: Final = ("failsafe",)  # in the texts in which autopilots tell of their own
+FAILSAFE_S: Final = 3.0  # such a text tells of a mode that changed no longer before
+
+_ONE: Final[Mapping[FaultKind, str]] = MappingProxyType(
+    {
+        FaultKind.SILENT: "is silent",
+        FaultKind.LOST: "is lost: nothing is heard from it",
+        FaultKind.STUCK: "does not tell where it is any more",
+        FaultKind.OFF_COURSE: "is off its course",
+        FaultKind.DEAF: "does not fly where it is told to",
+        FaultKind.TAKEN: "is taken over: something else changed its mode",
+        FaultKind.OWN_FAILSAFE: "has a failsafe of its own",
+        FaultKind.DISARMED: "disarmed in flight",
+        FaultKind.FENCE: "is outside the fence",
+        FaultKind.BATTERY: "has a low battery",
+        FaultKind.ORIGIN: "has moved its local origin",
+    }
+)
+_MANY: Final[Mapping[FaultKind, str]] = MappingProxyType(
+    {
+        FaultKind.SILENT: "are silent",
+        FaultKind.LOST: "are lost: nothing is heard from them",
+        FaultKind.STUCK: "do not tell where they are any more",
+        FaultKind.OFF_COURSE: "are off their course",
+        FaultKind.DEAF: "do not fly where they are told to",
+        FaultKind.TAKEN: "are taken over: something else changed their modes",
+        FaultKind.OWN_FAILSAFE: "have failsafes of their own",
+        FaultKind.DISARMED: "disarmed in flight",
+        FaultKind.FENCE: "are outside the fence",
+        FaultKind.BATTERY: "have low batteries",
+        FaultKind.ORIGIN: "have moved their local origins",
+    }
+)
 
 
-class Kind(Enum):
-    """What can go wrong in flight."""
+class Bounds(NamedTuple):
+    """From when on something is a fault."""
 
-    LOST = "is lost: nothing is heard from it"
-    TAKEN = "is taken over: something else changed its mode"
-    DISARMED = "disarmed in flight"
-    SEPARATION = "are closer than the minimum separation"
-    FENCE = "is outside the fence"
-    BATTERY = "has a low battery"
+    silent_s: float = 0.5  # without a message, or without a position [s]
+    off_course_m: float = 1.5  # distance from where a vehicle is told to be [m]
+    battery_low: float = 0.15  # share left; real autopilots warn at 10 to 15 %
 
 
-OF_MANY: dict[Kind, str] = {  # in the words for several vehicles, where they differ
-    Kind.LOST: "are lost: nothing is heard from them",
-    Kind.TAKEN: "are taken over: something else changed their modes",
-    Kind.FENCE: "are outside the fence",
-    Kind.BATTERY: "have low batteries",
-}
-BY_PHASE: dict[Phase, Kind] = {Phase.LOST: Kind.LOST, Phase.TAKEN: Kind.TAKEN, Phase.LANDED: Kind.DISARMED}
+class Picture(NamedTuple):
+    """The fleet at one instant; rows are those of the fleet."""
 
-
-class Action(Enum):
-    """What the flight does about a fault."""
-
-    ABORT = "every vehicle that still obeys stops, flies home on checked lines and lands"
-    REPORT = "it is reported, and the flight goes on"
-
-
-CONSEQUENCES: dict[Kind, Action] = {
-    Kind.LOST: Action.ABORT,
-    Kind.TAKEN: Action.ABORT,  # whoever took it keeps it, and without it the formation verifies nothing
-    Kind.DISARMED: Action.ABORT,
-    Kind.SEPARATION: Action.ABORT,
-    Kind.FENCE: Action.ABORT,
-    Kind.BATTERY: Action.REPORT,  # simulated ones fly on at 0 %, and the way home is part of every flight
-}
+    vehicles: Sequence[Vehicle]
+    rows: Sequence[int]  # of the vehicles that fly for us: they are looked at, others are nobody's alarm
+    positions_enu_m: Array  # (V, 3) [m]
+    position_at_s: Array  # (V,) when they were there [s]
+    told_enu_m: Array  # (V, 3) where they are told to be; NaN: nothing is streamed [m]
+    told_speed_m_s: Array  # (V,) the greatest that they were told to fly at within the last second [m/s]
+    now_s: float
 
 
 class Finding(NamedTuple):
     """One vehicle, or pair of vehicles, with which something is wrong now."""
 
-    kind: Kind
+    kind: FaultKind
     vehicles: tuple[VehicleAddress, ...]
     detail: str = ""  # what is told of it beside its kind
-    size_m: float = 0.0  # distance outside the fence, or of the pair
+    size: float = 0.0  # distance outside the fence, of the pair, or from the course [m]; share left
 
 
-class Fault(NamedTuple):
-    """What is wrong in one way, with one vehicle or with many."""
-
-    kind: Kind
-    vehicles: tuple[VehicleAddress, ...]  # ascending
-    text: str  # one line for people
-
-
-def findings(
-    vehicles: Sequence[Vehicle], positions_enu_m: Array, position_at_s: Array, rules: Rules, now_s: float
-) -> list[Finding]:
+def findings(picture: Picture, rules: Rules, bounds: Bounds) -> list[Finding]:
     """Return what is wrong with vehicles that should be flying a plan.
 
     Args:
-        vehicles: the fleet.
-        positions_enu_m: where they are, shape (V, 3) [m].
-        position_at_s: when they were there, shape (V,) [s].
+        picture: the fleet now.
         rules: separation and fence.
-        now_s: the clock's reading [s].
+        bounds: of silence, courses and batteries.
     """
-    found = [
-        Finding(BY_PHASE[vehicle.phase], (vehicle.address,), vehicle.mode_name)
-        for vehicle in vehicles
-        if vehicle.phase in BY_PHASE
-    ]
-    found += [
-        Finding(Kind.BATTERY, (vehicle.address,))
-        for vehicle in vehicles
-        if vehicle.battery.remaining < BATTERY_LOW  # never true while unknown
-    ]
-    fresh = np.flatnonzero(now_s - position_at_s < STALE_S).tolist()
-    places = positions_enu_m[fresh]
+    found = [finding for row in picture.rows for finding in _of_one(picture, row, bounds)]
+    rows = np.array(picture.rows, dtype=int)
+    fresh = rows[picture.now_s - picture.position_at_s[rows] < STALE_S].tolist()
+    places = picture.positions_enu_m[fresh]
     for (first, second), distance_m in _close_pairs(places, rules.separation_m):
-        pair = vehicles[fresh[first]].address, vehicles[fresh[second]].address
-        found.append(Finding(Kind.SEPARATION, pair, size_m=distance_m))
+        pair = picture.vehicles[fresh[first]].address, picture.vehicles[fresh[second]].address
+        found.append(Finding(FaultKind.SEPARATION, pair, size=distance_m))
     for row, excess_m in zip(fresh, rules.fence.excess_m(places).tolist(), strict=True):
         if outside(excess_m - FENCE_SLACK_M):
-            found.append(Finding(Kind.FENCE, (vehicles[row].address,), size_m=excess_m))
+            found.append(Finding(FaultKind.FENCE, (picture.vehicles[row].address,), size=excess_m))
     return found
 
 
-def faults(found: Iterable[Finding], rules: Rules) -> list[Fault]:
+def _of_one(picture: Picture, row: int, bounds: Bounds) -> Iterator[Finding]:
+    """Yield what is wrong with one vehicle by itself."""
+    vehicle, now_s = picture.vehicles[row], picture.now_s
+    address = (vehicle.address,)
+    silent_s = now_s - vehicle.heard_at_s
+    given_up_s = max(vehicle.stream_timeout_s, bounds.silent_s) + SPARE_S
+    if silent_s > given_up_s:
+        yield Finding(FaultKind.LOST, address)
+        return
+    if silent_s > bounds.silent_s:
+        yield Finding(FaultKind.SILENT, address)
+    elif now_s - picture.position_at_s[row] > given_up_s:
+        yield Finding(FaultKind.LOST, address)
+    elif now_s - picture.position_at_s[row] > bounds.silent_s:
+        yield Finding(FaultKind.STUCK, address)
+    if vehicle.phase is Phase.TAKEN:
+        kind = FaultKind.OWN_FAILSAFE if tells_of_failsafe(vehicle, now_s) else FaultKind.TAKEN
+        yield Finding(kind, address, vehicle.mode_name)
+    elif vehicle.phase is Phase.LANDED:
+        yield Finding(FaultKind.DISARMED, address)
+    else:
+        error_m = float(np.linalg.norm(picture.told_enu_m[row] - picture.positions_enu_m[row]))
+        if error_m > bounds.off_course_m + LAG_S * picture.told_speed_m_s[row]:  # never true while not known
+            yield Finding(FaultKind.OFF_COURSE, address, size=error_m)
+    if vehicle.battery.remaining < bounds.battery_low:  # never true while unknown
+        yield Finding(FaultKind.BATTERY, address, size=vehicle.battery.remaining)
+
+
+def tells_of_failsafe(vehicle: Vehicle, now_s: float) -> bool:
+    """Say whether a vehicle tells that a failsafe of its own has changed its mode."""
+    return any(
+        word in text.text.lower()
+        for text in vehicle.recent_texts
+        if now_s - text.at_s < FAILSAFE_S
+        for word in FAILSAFE_WORDS
+    )
+
+
+def faults(found: Iterable[Finding], rules: Rules, now_s: float = 0.0) -> list[Fault]:
     """Return findings of one kind as one fault: a swarm that has one fault gives one line.
 
     Args:
         found: see :func:`findings`.
         rules: separation and fence.
+        now_s: since when it is so [s].
     """
-    by_kind: dict[Kind, list[Finding]] = {kind: [] for kind in Kind}
+    by_kind: dict[FaultKind, list[Finding]] = {kind: [] for kind in FaultKind}
     for finding in found:
         by_kind[finding.kind].append(finding)
     return [
-        Fault(kind, tuple(sorted({address for one in of_kind for address in one.vehicles})), _text(of_kind, rules))
+        Fault(
+            kind,
+            tuple(sorted({address for one in of_kind for address in one.vehicles})),
+            _text(of_kind, rules),
+            now_s,
+            (min if kind in (FaultKind.SEPARATION, FaultKind.BATTERY) else max)(one.size for one in of_kind),
+        )
         for kind, of_kind in by_kind.items()
         if of_kind
     ]
@@ -139,17 +182,17 @@ def _close_pairs(places_m: Array, separation_m: float) -> Iterator[tuple[tuple[i
 def _text(found: Sequence[Finding], rules: Rules) -> str:
     """Return the line that tells of findings of one kind."""
     kind, addresses = found[0].kind, sorted({address for one in found for address in one.vehicles})
-    if kind is Kind.SEPARATION:
-        worst = min(found, key=lambda one: one.size_m)
+    if kind is FaultKind.SEPARATION:
+        worst = min(found, key=lambda one: one.size)
         first, second = worst.vehicles
-        text = f"vehicles {first} and {second} are {worst.size_m:.2f} m apart (minimum {rules.separation_m:.2f} m)"
+        text = f"vehicles {first} and {second} are {worst.size:.2f} m apart (minimum {rules.separation_m:.2f} m)"
         others = len(found) - 1
         pairs = "one other pair" if others == 1 else f"{others} other pairs"
         return f"{text}; with {pairs} of {vehicles_named(addresses)} it is likewise" if others else text
-    text = f"{vehicles_named(addresses)} {kind.value if len(addresses) == 1 else OF_MANY.get(kind, kind.value)}"
+    text = f"{vehicles_named(addresses)} {(_ONE if len(addresses) == 1 else _MANY)[kind]}"
     match kind:
-        case Kind.TAKEN:
+        case FaultKind.TAKEN | FaultKind.OWN_FAILSAFE:
             return f"{text} ({', '.join(sorted({one.detail for one in found}))})"
-        case Kind.FENCE:
-            return f"{text} by {'' if len(found) == 1 else 'up to '}{max(one.size_m for one in found):.1f} m"
+        case FaultKind.FENCE | FaultKind.OFF_COURSE:
+            return f"{text} by {'' if len(found) == 1 else 'up to '}{max(one.size for one in found):.1f} m"
     return text

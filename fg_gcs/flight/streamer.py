@@ -24,6 +24,7 @@ from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import vehicles_named
 from fg_gcs.wire.setpoint import LARGEST, NUMBERS, SetpointRound, all_sendable, sendable
 
+STALL_S = 0.4  # without setpoints: PX4 gives up after 1 s, ArduPilot brakes after 3 s, but both run on from the first
 REMEMBERED = 100  # rounds of setpoints: a second or two of them, more than is ever asked for
 
 # The numbers of a setpoint in the mission's frame, ENU, as those of a vehicle's: which of them, and with which sign
@@ -55,15 +56,20 @@ class Streamer:
         late_ticks: rounds that were skipped because the loop was busy.
         refused: setpoints that were not sent because of their numbers; those of the other vehicles were.
         after_round: called with the loop's time [s] after each round of setpoints; must not raise.
+        stalled: called with how long nothing was sent [s], instead of a round, when this program stood still: what the
+            motion says by then may be metres from where the vehicles are, so that it is dropped.
         period_s: between two rounds [s].
+        turned_s: the loop's time of the newest sign of life [s].
     """
 
     def __init__(self, fleet: Fleet, recorder: Recorder, rate_hz: float) -> None:
         """Stream at ``rate_hz`` [Hz] as soon as there is a motion and a vehicle is engaged."""
         self.motion: Motion | None = None
         self.late_ticks = 0
+        self.turned_s = -np.inf
         self.refused = 0
         self.after_round: Callable[[float], None] | None = None
+        self.stalled: Callable[[float], None] | None = None
         self._fleet = fleet
         self._recorder = recorder
         self.period_s = 1.0 / rate_hz
@@ -117,10 +123,16 @@ class Streamer:
         loop = asyncio.get_running_loop()
         start_s, last = loop.time(), -1
         async for k, late_s in ticks(start_s, self.period_s):
+            self.turned_s = loop.time()
             if self.motion is not None and self._engaged.any():
-                self.late_ticks += k - last - 1 if last >= 0 else 0
-                last = k
-                now_s = loop.time()
+                missed = k - last - 1 if last >= 0 else 0
+                self.late_ticks += missed
+                last, now_s = k, loop.time()
+                stood_s = (missed + 1) * self.period_s
+                if missed and stood_s > STALL_S and self.stalled is not None:
+                    self.motion = None
+                    self.stalled(stood_s)
+                    continue
                 self._send(self.motion, now_s)
                 self._recorder.ticks.append((self._recorder.since_start_s(now_s), late_s))
                 self._due_s = start_s + (k + 1) * self.period_s
@@ -128,6 +140,8 @@ class Streamer:
                 self._sent.clear()
                 if self.after_round is not None:
                     self.after_round(now_s)
+            else:
+                last = -1
 
     def _send(self, motion: Motion, now_s: float) -> None:
         moved = self._moved_by(motion)

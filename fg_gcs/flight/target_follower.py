@@ -76,6 +76,9 @@ class TargetFollower:
         stopwatch: returns seconds, for planning durations alone.
         substitutes: what comes in the place of the mission's sources.
 
+    Attributes:
+        turned_s: the loop's time of the newest sign of life of its task [s].
+
     Raises:
         MissionError: a target's file cannot be read, or something in it is wrong.
     """
@@ -90,6 +93,7 @@ class TargetFollower:
         stopwatch: Callable[[], float],
         substitutes: Substitutes,
     ) -> None:
+        self.turned_s = -np.inf
         self._swarm = Swarm(task.formation, slots_m, task.hold_depth_m, task.rules)
         self._settings = mission.tracking()
         self._names = list(self._settings.weights)
@@ -110,6 +114,7 @@ class TargetFollower:
         self._core: FollowingCore | None = None
         self._formation_motion: FormationMotion | None = None
         self._ended_s: float | None = None
+        self._resting = False  # no trajectories for now
         self._began_s = self._taken_s = self._time()
         self._sighted_s = np.nan  # when the oldest sighting came that no trajectory was planned for yet
         self._stamp_s = np.nan  # when what it says was true
@@ -155,13 +160,18 @@ class TargetFollower:
     async def run(self) -> None:
         """Plan whenever something was seen, or nothing for a while: run it as a task."""
         while True:
+            self.turned_s = self._time()
             with suppress(TimeoutError):
                 async with asyncio.timeout(QUIET_S):
                     await self._wake.wait()
             self._wake.clear()
             await self._planning.gap()
-            if self._core is not None and self._formation_motion is not None and self._ended_s is None:
+            if self._core is not None and self._formation_motion is not None and not self._is_over():
                 await self._replan(self._core, self._formation_motion)
+
+    def _is_over(self) -> bool:
+        """Say whether no trajectory is wanted, for now or for good."""
+        return self._resting or self._ended_s is not None
 
     def stop(self) -> tuple[FormationMotion, float]:
         """Track no longer, and come to rest; return the motion, and the time at which the formation rests [s]."""
@@ -174,6 +184,18 @@ class TargetFollower:
             self._stream(motion)
         self.close()
         return motion, max(motion.trajectory.end_s, now_s)
+
+    def rests(self, wanted: bool) -> None:
+        """Come to rest and stay there, or go on; sightings are taken all the time."""
+        if wanted is self._resting or self._core is None or self._formation_motion is None or self._ended_s is not None:
+            return
+        self._resting = wanted
+        now_s = self._time()
+        if wanted:
+            gaze = Gaze(now_s, self._formation_motion.gaze.at(now_s), np.zeros(3))
+            self._stream(self._formation_motion.with_trajectory(self._core.replanner.stop(now_s).trajectory, gaze))
+        else:
+            self._wake.set()
 
     def close(self) -> None:
         """Track no longer, write down how it was, and close all ports; may be called at any time, and twice."""
@@ -307,7 +329,7 @@ class TargetFollower:
             return
         sighted_s, stamp_s = self._sighted_s, self._stamp_s
         self._sighted_s = self._stamp_s = np.nan  # what comes from now on is for the next trajectory
-        replan = await self._planning.result(core.replanning(known), lambda: self._ended_s is not None)
+        replan = await self._planning.result(core.replanning(known), self._is_over)
         if replan is None:  # the present trajectory goes on, and it was verified
             self._sighted_s, self._stamp_s = np.fmin(sighted_s, self._sighted_s), np.fmin(stamp_s, self._stamp_s)
             if self._planning.late and not self._told_late:
@@ -321,7 +343,7 @@ class TargetFollower:
         self._measure()
         if np.isfinite(sighted_s) and replan.taken:
             self._told_s = stamp_s, planned_s
-        if self._streamer.due_s - sighted_s > self._streamer.period_s:  # it had to let a round pass already
+        if self._streamer.due_s - sighted_s > 1.01 * self._streamer.period_s:  # it had to let a round pass already
             self._streamer.send_now()
         self._durations.add(self._stopwatch() - began_s)
         self._write(replan, known, (now_s, sighted_s, planned_s), core.error_m(known))

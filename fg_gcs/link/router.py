@@ -1,6 +1,7 @@
 """From sockets to vehicles and back: each message leaves once, to the address its vehicle was heard from."""
 
 import asyncio
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -116,12 +117,14 @@ class Router:
 
     Attributes:
         vehicles: Every vehicle heard so far. The same system id in two networks is two vehicles.
+        turned_s: The loop time of the newest sign of life of `keep_alive` [s].
         notices: Lines for people, such as a lost connection, or two vehicles with one address (said once).
     """
 
     def __init__(self, time: Callable[[], float], on_frame: OnFrame | None, tap: Tap | None) -> None:
         self.vehicles: dict[VehicleAddress, Vehicle] = {}
         self.notices: deque[str] = deque(maxlen=64)
+        self.turned_s = -math.inf
         self._on_frame = on_frame
         self._tap = tap
         self._wires: list[Wire] = []
@@ -216,12 +219,15 @@ class Router:
             period_s: Autopilots want one heartbeat a second.
         """
         heartbeat = laid_out(commands.heartbeat())
-        async for _ in ticks(self._time(), period_s):
+        async for _, late_s in ticks(self._time(), period_s):
+            self.turned_s = self._time()
             called = [peer for peer in self._peers.values() if peer.wire.remote is not None]
             for some in _batches(list(dict.fromkeys([*self._routes.values(), *called]))):
                 for peer in some:
                     self._send(peer, peer.sender.finish(*heartbeat))
                 await asyncio.sleep(0.0)
+            if late_s > LOST_AFTER_S / 2:  # this program stood still: what vehicles said meanwhile has yet to be read
+                continue
             for vehicles in _batches(list(self.vehicles.values())):
                 for vehicle in vehicles:
                     vehicle.watch(self._time())

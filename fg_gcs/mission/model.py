@@ -210,6 +210,39 @@ class LimitsTable(MissionTable):
     )
 
 
+class FaultsTable(MissionTable):
+    """From when on something is a fault in flight; what follows is in docs/failures.md."""
+
+    silent_s: float = Field(
+        default=0.5,
+        ge=0.3,
+        le=2.0,
+        description="0.3 to 2 seconds without a message or a position of a vehicle, from when on the others wait for "
+        "it (default 0.5)",
+    )
+    off_course_m: float = Field(
+        default=1.5,
+        ge=0.5,
+        le=10.0,
+        description="0.5 to 10 metres that a vehicle may be from where it is told to be, beside what its speed "
+        "explains (default 1.5)",
+    )
+    battery_low: float = Field(
+        default=0.15,
+        ge=0.0,
+        le=0.5,
+        description="0 to 0.5, the share of its charge below which a vehicle sends everybody home (default 0.15; "
+        "0: none)",
+    )
+    taken_wait_s: float = Field(
+        default=60.0,
+        ge=0.0,
+        le=600.0,
+        description="0 to 600 seconds that a vehicle which somebody else has may stay in the air after all others are "
+        "down, before it is landed (default 60)",
+    )
+
+
 class FenceTable(MissionTable):
     """The box that no vehicle leaves while it follows a plan."""
 
@@ -301,6 +334,7 @@ class Mission(MissionTable):
     hold: HoldTable = Field(default=HoldTable(), description="a table")
     plan: PlanTable = Field(default=PlanTable(), description="a table")
     limits: LimitsTable = Field(description="a table")
+    faults: FaultsTable = Field(default=FaultsTable(), description="a table")
     fence: FenceTable = Field(description="a table")
     takeoff: TakeoffTable = Field(default=TakeoffTable(), description="a table")
     pads: PadsTable = Field(default=PadsTable(), description="a table")

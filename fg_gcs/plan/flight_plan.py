@@ -19,8 +19,9 @@ from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.rules import Peaks
 from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import timed
-from fg_gcs.plan.transit import NOTHING, Transit, gather, scatter
+from fg_gcs.plan.transit import gather
 from fg_gcs.plan.verification import CheckedPlan, check
+from fg_gcs.plan.way_home import plan_home
 
 Indices = NDArray[np.intp]
 
@@ -114,7 +115,7 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
     into = gather(tops_enu_m, task.formation.place(task.start), rules)
     approach = check([timed(path.swarm_path(into.goal_of), rules.limits)], rules, task.target_enu_m)
     hold = approach.sample(np.array([approach.duration_s])).position_m[0]
-    home = plan_home(hold, tops_enu_m, task)
+    home = plan_home(hold, tops_enu_m, rules)
     rim = np.argsort(into.goal_of)[: len(task.formation.leaders_m)]
     return FlightPlan(
         gather=check(into.pieces, rules, task.target_enu_m),
@@ -126,17 +127,6 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
         plan_time_s=found - began,
         timing_time_s=stopwatch() - found,
     )
-
-
-def plan_home(position_enu_m: Array, tops_enu_m: Array, task: Task, obstacles_m: Array = NOTHING) -> Transit:
-    """Return the way from anywhere to the places above the pads, shapes (V, 3) and (V, 3) [m].
-
-    Obstacles stand still, shape (O, 3) [m].
-
-    Raises:
-        PlanError: no collision-free lines lead there.
-    """
-    return scatter(position_enu_m, tops_enu_m, task.rules, obstacles_m)
 
 
 def _figures(task: Task, iterates: int, approach: CheckedPlan, rim: Indices) -> ApproachFigures:

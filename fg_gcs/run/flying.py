@@ -118,12 +118,13 @@ class RunResult:
 
     @property
     def in_order(self) -> bool:
-        """Whether the record is complete, and every vehicle is known to be on the ground, motors off, and hit nothing.
+        """Whether the record is complete, no task died, and every vehicle is down, motors off, and has hit nothing.
 
         What simulated vehicles hit is known from the truth; of others it is not known.
         """
         hit = self.summary["collisions"] or self.summary["ground_strikes"]
-        return self.summary["recording_complete"] is True and not self.summary["vehicles_not_down"] and not hit
+        died, up = self.summary["tasks_died"], self.summary["vehicles_not_down"]
+        return self.summary["recording_complete"] is True and not (up or hit or died)
 
 
 async def fly(mission: Mission, options: FlyOptions | None = None, observers: Sequence[Observer] = ()) -> RunResult:
@@ -361,10 +362,12 @@ def _finished(
     """Write summary and report; return what came of the run."""
     flight = director.result
     error = ended_by if isinstance(ended_by, Exception) else None
-    reason = flight.reason if error is None else str(error) or repr(error)
     truth = read_truth(recorder.folder / TRUTH)
     for text in truth.told:
         recorder.event(now_s, "truth", text)
+    if flight.completed and truth.told:  # whatever the telemetry says
+        flight.completed, flight.reason = False, truth.told[0]
+    reason = flight.reason if error is None else str(error) or repr(error)
     summary = recorder.finish(summary_of(mission, flight, recorder, reason) | truth.figures)
     if options.write_report:
         try:

@@ -25,7 +25,8 @@ from fg_gcs.errors import LinkError, MissionError
 from fg_gcs.link.clock import speed_of
 from fg_gcs.mission.model import Mission
 from fg_gcs.mission.target_tables import VehicleSource
-from sitl_mock import Simulator, SimulatorOptions, parse_fault, parse_impairment, parse_target
+from sitl_mock import Simulator as Simulator
+from sitl_mock import SimulatorOptions, parse_fault, parse_impairment, parse_target
 from sitl_mock.autopilot.profile import Manners
 
 READY_S = 20.0  # it needs one second; the rest is for a machine that is busy with other things
@@ -117,6 +118,16 @@ def options_of(mission: Mission, wanted: SimulatorWish, port: int, truth: Path |
         impairments=tuple(map(parse_impairment, wanted.impairments)),
         truth=truth,
     )
+
+
+def simulator_of(mission: Mission, wanted: SimulatorWish, port: int) -> Simulator:
+    """Return a mission's simulator for the running loop, not yet started, whose truth can be looked at.
+
+    Raises:
+        MissionError: what is wanted contradicts itself; says how.
+    """
+    check_simulator(mission, wanted)
+    return Simulator(options_of(mission, wanted, port, None))
 
 
 def free_port() -> int:

@@ -69,7 +69,8 @@ def summary_of(mission: Mission, result: FlightResult, recorder: Recorder, reaso
     summary |= _tracking_keys(result, recorder)
     summary |= {
         "late_ticks": result.late_ticks,
-        "lost_vehicles": [vehicle.label for vehicle in result.lost],
+        "lost": [vehicle.label for vehicle in result.lost],
+        "tasks_died": list(result.died),
         "vehicles_not_down": [vehicle.label for vehicle in result.not_down],
         **counters._asdict(),
         "limits": None if limits is None else vars(limits),

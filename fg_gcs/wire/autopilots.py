@@ -94,6 +94,8 @@ class AutopilotProfile:
         streaming_mode: Mode in which position targets are obeyed.
         waiting_mode: Mode to stand in on the ground: it needs neither a pilot nor setpoints.
         land_mode: Mode that lands here.
+        hovering_modes: Modes that stay where they are.
+        stream_timeout: The parameter that says for how long a vehicle goes on without setpoints, and its default [s].
         take_off: How it leaves the ground.
         lands_by_command: NAV_LAND lands it; otherwise the mode does.
         encoding: How integer parameters travel.
@@ -108,6 +110,8 @@ class AutopilotProfile:
     streaming_mode: int
     waiting_mode: int
     land_mode: int
+    hovering_modes: frozenset[int]
+    stream_timeout: tuple[str, float]
     take_off: TakeOff
     lands_by_command: bool
     encoding: Encoding
@@ -195,6 +199,8 @@ PX4: Final = AutopilotProfile(
     streaming_mode=_PX4_MODES["OFFBOARD"],
     waiting_mode=_PX4_MODES["LOITER"],
     land_mode=_PX4_MODES["LAND"],
+    hovering_modes=frozenset({_PX4_MODES["LOITER"], _PX4_MODES["POSCTL"], _PX4_MODES["ALTCTL"]}),
+    stream_timeout=("COM_OF_LOSS_T", 1.0),
     take_off=TakeOff.BY_SETPOINT,
     lands_by_command=True,
     encoding=Encoding.BYTEWISE,
@@ -229,6 +235,8 @@ ARDUPILOT: Final = AutopilotProfile(
     streaming_mode=_ARDUPILOT_MODES["GUIDED"],
     waiting_mode=_ARDUPILOT_MODES["GUIDED"],
     land_mode=_ARDUPILOT_MODES["LAND"],
+    hovering_modes=frozenset(_ARDUPILOT_MODES[name] for name in ("ALT_HOLD", "LOITER", "POSHOLD", "BRAKE")),
+    stream_timeout=("GUID_TIMEOUT", 3.0),
     take_off=TakeOff.BY_COMMAND,
     lands_by_command=False,
     encoding=Encoding.CAST,

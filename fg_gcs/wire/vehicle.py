@@ -197,6 +197,12 @@ class Vehicle:
         return "unknown" if self.mode is None else self.profile.mode_name(self.mode)
 
     @property
+    def stream_timeout_s(self) -> float:
+        """How long it goes on without setpoints, as its parameter says, or as that is by default [s]."""
+        name, default_s = self.profile.stream_timeout
+        return self.params.get(name, default_s)
+
+    @property
     def state(self) -> State:
         """Where it is and how it moves, in numbers of which the unknown ones are NaN."""
         return self._states[self._row]

@@ -17,7 +17,7 @@ from sitl_mock.messages import CommandResult
 from sitl_mock.protocol.layouts import is_message
 
 # Stages that a ground station tells of, and those that a vehicle is in by itself.
-FLIGHT_STAGES = ("connect", "prepare", "plan", "take-off", "gather", "approach", "hold", "home", "land")
+FLIGHT_STAGES = ("connect", "prepare", "plan", "take-off", "gather", "approach", "hold", "home", "spread", "land")
 OWN_STAGES = ("armed", "airborne", "landed")
 STAGES = FLIGHT_STAGES + OWN_STAGES
 LONGEST_S = 1e6  # of any time

@@ -125,7 +125,7 @@ def test_the_simulator_killed_in_flight(tmp_path: Path) -> None:
         os.kill(children(process.pid)[0], signal.SIGKILL)
         flown = summary_of(process)
         assert process.returncode == 5
-    assert flown["lost_vehicles"] == flown["vehicles_not_down"] == [1, 2, 3, 4]
+    assert flown["lost"] == flown["vehicles_not_down"] == [1, 2, 3, 4]
     assert "lost" in str(flown["reason"])
     assert (Path(str(flown["log"])) / "report.html").exists()
 

@@ -8,7 +8,7 @@ import pytest
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose, hemisphere
 from fg_gcs.core.separation import Fence
-from fg_gcs.flight.motions import Brake, Follow, FormationMotion, Gaze, Headings, Motion, Rest
+from fg_gcs.flight.motions import Follow, FormationMotion, Gaze, Headings, Motion, Rest
 from fg_gcs.flight.yaw_limiter import YAW_RATE_RAD_S, YawRateLimiter
 from fg_gcs.plan.flight_plan import Task, compile_flight
 from fg_gcs.plan.limits import Limits, Rules
@@ -24,7 +24,7 @@ def follow() -> Follow:
     rules = Rules(Limits(8.0, 4.0), 1.5, Fence((-30.0, -30.0, 2.0), (30.0, 30.0, 30.0)))
     task = Task(FORMATION, START, Target.ball((-6.0, 10.0, 12.0)), 0.25, rules, "rigid")
     tops = np.array([[3.0 * column, 0.0, 4.0] for column in range(4)])
-    return Follow(range(4), compile_flight(task, tops, lambda: 0.0).approach, BEGIN_S)
+    return Follow.from_now(range(4), compile_flight(task, tops, lambda: 0.0).approach, BEGIN_S)
 
 
 def formation_motion() -> FormationMotion:
@@ -37,7 +37,13 @@ def formation_motion() -> FormationMotion:
 def every_motion() -> list[Motion]:
     plan = follow()
     rest = Rest(range(4), plan.at(BEGIN_S).position_m, np.zeros(4))
-    return [rest, plan, Brake(plan, BEGIN_S + 1.0), formation_motion()]
+    return [
+        rest,
+        plan,
+        plan.stopping(BEGIN_S + 1.0),
+        plan.stopping(BEGIN_S + 1.0).going_on(BEGIN_S + 1.3),
+        formation_motion(),
+    ]
 
 
 def flat(motion: Motion, now_s: float) -> Array:
@@ -45,7 +51,7 @@ def flat(motion: Motion, now_s: float) -> Array:
     return np.concatenate([part.ravel() for part in wanted])
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", range(5))
 def test_a_motion_says_the_same_of_an_instant_whenever_and_in_whatever_order_it_is_asked(index: int) -> None:
     motion = every_motion()[index]
     times_s = BEGIN_S + np.linspace(0.0, 8.0, 33)
@@ -54,17 +60,33 @@ def test_a_motion_says_the_same_of_an_instant_whenever_and_in_whatever_order_it_
     assert np.array_equal(forward, backward)
 
 
-def test_braking_begins_as_the_plan_was_and_ends_at_rest_on_its_path() -> None:
+@pytest.mark.parametrize("share", [0.05, 0.4, 0.7, 0.99])
+@pytest.mark.parametrize("stands_s", [0.0, 4.0])
+def test_a_plan_that_stops_and_goes_on_stays_on_its_path_without_a_jump(share: float, stands_s: float) -> None:
     plan = follow()
-    start_s = BEGIN_S + 0.4 * plan.plan.duration_s
-    brake = Brake(plan, start_s)
-    assert np.allclose(brake.at(start_s).position_m, plan.at(start_s).position_m)
-    assert np.allclose(brake.at(start_s).velocity_m_s, plan.at(start_s).velocity_m_s)
-    assert not brake.at(brake.end_s + 5.0).velocity_m_s.any()
-    assert not brake.at(brake.end_s + 5.0).acceleration_m_s2.any()
+    stop_s = BEGIN_S + share * plan.plan.duration_s
+    stopped = plan.stopping(stop_s)
+    go_s = stopped.end_s + stands_s
+    again = stopped.going_on(go_s)
+    assert np.isfinite(again.end_s)
+    assert again.end_s > plan.end_s
+    last_s = go_s + 0.6 * again.pace.lasts_s  # before it is at full speed it has to stop once more
+    last = again.stopping(last_s)
+    assert not last.at(last.end_s).velocity_m_s.any()
+    times_s = np.arange(BEGIN_S, last.end_s + 1.0, 0.002)
+    motions = [plan if t < stop_s else stopped if t < go_s else again if t < last_s else last for t in times_s]
+    wanted = [motion.at(t) for motion, t in zip(motions, times_s, strict=True)]
+    position, velocity, acceleration = (np.array([getattr(w, name) for w in wanted]) for name in wanted[0]._fields[:3])
+    assert np.allclose(np.diff(position, axis=0) / 0.002, 0.5 * (velocity[1:] + velocity[:-1]), atol=5e-3)
+    assert np.allclose(np.diff(velocity, axis=0) / 0.002, 0.5 * (acceleration[1:] + acceleration[:-1]), atol=0.15)
+    assert np.linalg.norm(velocity, axis=2).max() <= 8.0 * (1.0 + 1e-6)
+    assert np.linalg.norm(acceleration, axis=2).max() <= 4.0 * 1.4
     path = np.array([plan.at(now_s).position_m for now_s in np.linspace(BEGIN_S, plan.end_s, 2000)])
-    rest = brake.at(brake.end_s).position_m
-    assert np.linalg.norm(path - rest, axis=2).max(axis=1).min() < 0.02
+    rest = stopped.at(stopped.end_s + 5.0)
+    assert not rest.velocity_m_s.any()
+    assert not rest.acceleration_m_s2.any()
+    assert np.linalg.norm(path - rest.position_m, axis=2).max(axis=1).min() < 0.02
+    assert np.allclose(again.at(again.end_s + 0.01).position_m, path[-1], atol=1e-3)
 
 
 def test_a_newer_trajectory_leaves_the_older_motion_as_it_was() -> None:

@@ -102,7 +102,7 @@ def test_equal_ids_of_two_networks_are_not_mixed_in_figures_and_report(tmp_path:
         told = summary[key]
         assert isinstance(told, list)
         assert len(set(told) & set(labels)) == count
-    assert (summary["lost_vehicles"], summary["vehicles_not_down"]) == ([], [])
+    assert (summary["lost"], summary["vehicles_not_down"]) == ([], [])
     assert isinstance(summary["tracking_max_m"], float)
     assert summary["tracking_max_m"] < 0.5
     assert summary["flown_min_separation_m"] == pytest.approx(flight.truth_separation_m, abs=0.1)

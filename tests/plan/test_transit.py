@@ -49,18 +49,6 @@ def test_pads_too_tight_for_any_line_are_refused_with_a_reason() -> None:
         compiled(above=tops(spacing_m=1.6))
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_the_way_home_keeps_away_from_what_stands_still(seed: int) -> None:
-    draw = np.random.default_rng(seed)
-    everybody = hemisphere(4, 5, 8.0).place(START) + np.array([0.0, 0.0, 10.0])
-    stays = int(draw.integers(9))
-    moving = np.delete(everybody, stays, axis=0)
-    way = scatter(moving, tops(9, 4.0)[:8], RULES, everybody[stays : stays + 1])
-    for piece in way.pieces:
-        positions = piece.sample(np.linspace(0.0, piece.duration_s, 500)).position_m
-        assert np.linalg.norm(positions - everybody[stays], axis=2).min() >= 1.5 - 1e-3
-
-
 def test_nobody_moves_when_everybody_is_there_already() -> None:
     slots = hemisphere(4, 0, 8.0).place(START)
     way = gather(slots, slots, RULES)

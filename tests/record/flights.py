@@ -68,7 +68,7 @@ SUMMARY: dict[str, object] = {
     "setpoint_rate_hz": 39.9,
     "setpoint_late_p99_ms": 1.75,
     "late_ticks": 3,
-    "lost_vehicles": [],
+    "lost": [],
     "bad_bytes": 17,
     "unknown_messages": 2,
     "frames_in": 12345,

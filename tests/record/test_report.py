@@ -119,7 +119,7 @@ def test_what_was_not_measured_is_left_open(tmp_path: Path, key: str) -> None:
 
 
 def test_an_aborted_flight_says_why(tmp_path: Path) -> None:
-    page = report(tmp_path, {"completed": False, "reason": "stopped by SIGINT", "lost_vehicles": [1, 2, 3, 5]})
+    page = report(tmp_path, {"completed": False, "reason": "stopped by SIGINT", "lost": [1, 2, 3, 5]})
     assert "Aborted: stopped by SIGINT" in page.text
     assert "lost: vehicles 1-3, 5" in page.text
     assert "Completed" not in page.text
@@ -216,7 +216,7 @@ def test_a_flight_cut_short_makes_a_report(tmp_path: Path, stage: str) -> None:
 
 
 def test_unknown_positions_and_lost_vehicles_make_a_report(tmp_path: Path) -> None:
-    folder = write_run(tmp_path / NAME, changes={"lost_vehicles": [2]})
+    folder = write_run(tmp_path / NAME, changes={"lost": [2]})
     path = folder / TELEMETRY.file_name
     columns = np.load(path)
     for name in ("position_enu_m", "velocity_enu_m_s", "height_m"):

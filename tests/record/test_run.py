@@ -23,8 +23,9 @@ def test_a_run_comes_back(tmp_path: Path) -> None:
     assert run.leaders == main(1, 2, 3, 4)
     assert run.target_enu_m is not None
     assert run.target_enu_m.tolist() == list(TARGET)
-    assert [band.stage for band in run.bands] == list(IN_FLIGHT)
-    assert [(band.begin_s, band.end_s) for band in run.bands] == [STAGES[stage] for stage in IN_FLIGHT]
+    flown = [stage for stage in IN_FLIGHT if stage in STAGES]
+    assert [band.stage for band in run.bands] == flown
+    assert [(band.begin_s, band.end_s) for band in run.bands] == [STAGES[stage] for stage in flown]
     assert run.span_s == (0.5, 16.0)
     assert run.number("late_ticks") == 3.0
     assert run.number("completed") is None  # a yes is no number

@@ -246,7 +246,7 @@ def test_cancelling_twice_lands_on_the_spot_and_the_summary_tells_the_truth(tmp_
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["vehicles_landed"] == 4
     assert summary["vehicles_not_down"] == []
-    assert "landing on the spot: cancelled" in (folder / "events.jsonl").read_text()
+    assert "landing apart from each other: cancelled" in (folder / "events.jsonl").read_text()
 
 
 @pytest.mark.parametrize("error", [SystemExit(1), asyncio.CancelledError(), KeyError("observer")], ids=repr)

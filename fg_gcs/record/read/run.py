@@ -22,7 +22,7 @@ from fg_gcs.record.write.layouts import LAYOUTS, Columns
 from fg_gcs.record.write.recorder import EVENTS, INDEX, INPUTS, MISSION, SUMMARY
 from fg_gcs.wire.address import VehicleAddress
 
-IN_FLIGHT = ("take-off", "gather", "approach", "hold", "home", "land")
+IN_FLIGHT = ("take-off", "gather", "approach", "hold", "home", "spread", "land")
 STAMP_FORMAT, STAMP_LENGTH = "%Y-%m-%dT%H-%M-%S", 19  # how the name of a run's folder begins
 OLD_TABLES = "telemetry.npz", "setpoints.npz"  # of versions that wrote tables at the end of a run
 

@@ -177,7 +177,7 @@ def _is_text(value: object) -> bool:
 KINDS: dict[str, Kind] = {  # keys that are more than a figure, and what they have to be
     "stages": _is_stages,
     "leader_ids": _is_labels,
-    "lost_vehicles": _is_labels,
+    "lost": _is_labels,
     "vehicles_not_down": _is_labels,
     "target_enu_m": _is_point,
     "found_again_s": _is_durations,

@@ -230,7 +230,7 @@ def _headline(run: EvaluatedRun) -> str:
     summary = run.summary
     completed = summary.is_true("completed")
     reason = summary.text("reason") or "no reason was written down"
-    lost = summary.vehicles("lost_vehicles")
+    lost = summary.vehicles("lost")
     outcome = "Completed" if completed else f"Aborted: {reason}"
     description = "" if run.mission is None else run.mission.description
     begin_s, end_s = run.span_s

@@ -1,0 +1,148 @@
+"""Which vehicles a flight counts on, and where those may be that it does not: what later plans keep clear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from fg_gcs.core.arrays import Array
+from fg_gcs.flight.fleet import Fleet
+from fg_gcs.flight.policy import Care
+from fg_gcs.plan.keep_clear import Column
+from fg_gcs.wire.vehicle import Vehicle
+
+NEAR_M = 0.5  # how far a vehicle that is heard may be from where it says that it is, or drift while it comes down
+UNHEARD_M = 1.0  # likewise of one that is not heard
+RISES_M = 1.0  # how much higher than where it was last it may be
+BRAKES_M_S2 = 2.0  # what a vehicle brakes by when its own time-out has passed: ArduCopter's default
+RETURN_M = 30.0  # height at which PX4 returns when it is far; ArduCopter does at 15 m
+ON_GROUND_M = 0.5  # the height that a vehicle on the ground takes up
+FRESH_S = 1.0  # a position older than that is where a vehicle was
+
+
+class Custody:
+    """Care of every vehicle of a fleet.
+
+    Args:
+        fleet: with its frames.
+        pads_enu_m: where the vehicles stood before the flight, shape (V, 3) [m].
+        time: the flight's clock [s].
+
+    Attributes:
+        asked: rows of vehicles that were asked to arm: they are ours to bring down.
+    """
+
+    def __init__(self, fleet: Fleet, pads_enu_m: Array, time: Callable[[], float]) -> None:
+        self.asked: set[int] = set()
+        self._fleet = fleet
+        self._pads_enu_m = pads_enu_m
+        self._time = time
+        self._care: dict[int, Care] = {}  # of those that do not fly with the others
+        self._told_enu_m: dict[int, Array] = {}  # where those were told to be
+
+    def care(self, row: int) -> Care:
+        """Return what becomes of a vehicle."""
+        return self._care.get(row, Care.FLY)
+
+    def take(self, row: int, care: Care, told_enu_m: Array | None = None) -> None:
+        """Change a vehicle's care; nothing gives one back that was given up.
+
+        Args:
+            row: of the fleet.
+            care: what becomes of it.
+            told_enu_m: where it is told to be now, shape (3,), if anywhere [m].
+        """
+        if care is Care.FLY and self.care(row) is Care.TELL:
+            del self._care[row]
+        elif care is not Care.FLY and self.care(row) in (Care.FLY, Care.TELL):
+            self._care[row] = care
+            if told_enu_m is not None and np.isfinite(told_enu_m).all():
+                self._told_enu_m[row] = told_enu_m
+        elif care is Care.LAND:  # somebody else had it
+            self._care[row] = care
+
+    def rests(self, row: int, told_enu_m: Array) -> None:
+        """Say where a vehicle that was given up is told to rest, shape (3,) [m]: it is there if it hears."""
+        self._told_enu_m[row] = told_enu_m
+
+    @property
+    def waits(self) -> bool:
+        """Whether the others wait for a vehicle that may hear."""
+        return Care.TELL in self._care.values()
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        """Rows of the vehicles that were given up, ascending."""
+        return tuple(sorted(row for row, care in self._care.items() if care in (Care.LAND, Care.LEAVE)))
+
+    def flying(self) -> list[int]:
+        """Rows of the armed vehicles that fly for us."""
+        vehicles = self._fleet.vehicles
+        return [row for row, vehicle in enumerate(vehicles) if vehicle.armed and self.counted_on(row)]
+
+    def counted_on(self, row: int) -> bool:
+        """Say whether a vehicle flies with the others, or is waited for."""
+        return self.care(row) in (Care.FLY, Care.TELL)
+
+    def given_up(self) -> Iterable[tuple[int, Care]]:
+        """Rows of the vehicles that were given up, and what becomes of them."""
+        return ((row, self._care[row]) for row in self.lost)
+
+    def columns(self) -> list[Column]:
+        """Return where the vehicles may be by now that were given up, down to the ground."""
+        return [self.column(row) for row in self.lost]
+
+    def column(self, row: int) -> Column:
+        """Return where a vehicle may be by now that was given up."""
+        vehicle, now_s = self._fleet.vehicles[row], self._time()
+        place = self._fleet.positions_enu_m()[row]
+        if not np.isfinite(place).all():  # it never told; it has not left its pad as far as known
+            place = self._pads_enu_m[row]
+        heard = now_s - vehicle.position_at_s < FRESH_S
+        if heard and not vehicle.armed:
+            return _around(place, place, place[2] + ON_GROUND_M, NEAR_M)
+        if heard and self.care(row) is Care.LEAVE and _travels(vehicle):
+            return _around(place, self._pads_enu_m[row], max(place[2], RETURN_M) + RISES_M, UNHEARD_M)
+        if heard:
+            return _around(place, place, place[2] + RISES_M, NEAR_M)
+        return self._unheard(row, vehicle, place)
+
+    def _unheard(self, row: int, vehicle: Vehicle, place: Array) -> Column:
+        """Where it was last, where that velocity may have led it, and where it was told to be."""
+        north, east, down = vehicle.velocity_ned_m_s or (0.0, 0.0, 0.0)
+        velocity = np.array([east, north, -down])
+        speed = float(np.linalg.norm(velocity))
+        on_s = vehicle.stream_timeout_s + 0.5 * speed / BRAKES_M_S2
+        away = place + on_s * velocity
+        told = self._told_enu_m.get(row, place)
+        radius_m = UNHEARD_M + _from_line(told[:2], place[:2], away[:2])
+        return _around(place, away, max(place[2], away[2], told[2]) + RISES_M, radius_m)
+
+    def is_below(self, row: int, others: Iterable[int], clear_m: float) -> bool:
+        """Say whether one of some vehicles is where another may come down, nearer than a distance [m]."""
+        column = self.column(row)
+        places = self._fleet.positions_enu_m()[list(others)]
+        start, end = np.array(column.start_enu_m), np.array(column.end_enu_m)
+        return any(
+            place[2] < column.top_m and _from_line(place[:2], start, end) < column.radius_m + clear_m
+            for place in places
+            if np.isfinite(place).all()
+        )
+
+
+def _travels(vehicle: Vehicle) -> bool:
+    """Say whether a mode leads a vehicle elsewhere: any that neither lands nor hovers."""
+    profile = vehicle.profile
+    return vehicle.mode not in {profile.land_mode, profile.streaming_mode, *profile.hovering_modes}
+
+
+def _around(start: Array, end: Array, top_m: float, radius_m: float) -> Column:
+    return Column((float(start[0]), float(start[1])), (float(end[0]), float(end[1])), float(top_m), float(radius_m))
+
+
+def _from_line(point: Array, start: Array, end: Array) -> float:
+    """Distance of a point from a segment in the plane, each of shape (2,) [m]."""
+    way = end - start
+    share = float(np.clip((point - start) @ way / max(float(way @ way), 1e-12), 0.0, 1.0))
+    return float(np.linalg.norm(point - start - share * way))

@@ -1,0 +1,155 @@
+"""The watch: looks at the whole fleet many times a second, and reports every fault once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from fg_gcs.core.arrays import Array
+from fg_gcs.flight.context import Context
+from fg_gcs.flight.descents import Descents
+from fg_gcs.flight.policy import ROWS, Care, Fault, FaultKind
+from fg_gcs.flight.safety import SPARE_S, Bounds, Finding, Picture, faults, findings
+from fg_gcs.flight.streamer import STALL_S
+from fg_gcs.link.clock import ticks
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
+
+WATCH_S: Final = 0.05  # at 10 m/s half a metre of way
+CONFIRMED_S: Final = 0.3  # a course that is left for so long is left
+PARTED_S: Final = 8.0  # whoever is below a vehicle that is to land has had time enough to get away
+FORGETS_S: Final = 1.0  # time constant with which the greatest speed that vehicles were told to fly at is forgotten
+
+_ALL: Final = frozenset(FaultKind)
+WATCHED: Final[Mapping[str, frozenset[FaultKind]]] = MappingProxyType(
+    {  # on the way up all are still below the floor and not where they are to be; who disarms there is told by arming
+        "take-off": _ALL - {FaultKind.FENCE, FaultKind.DISARMED, FaultKind.OFF_COURSE, FaultKind.DEAF},
+        **dict.fromkeys(("gather", "approach", "hold", "home", "spread"), _ALL),
+    }
+)
+
+
+class Watch:
+    """Looks for faults while plans are flown; run it as a task.
+
+    Args:
+        context: the flight.
+        descents: bring down who is to land.
+        bounds: from when on something is a fault.
+        report: called with every fault once.
+
+    Attributes:
+        turned_s: the loop's time of the newest sign of life [s].
+    """
+
+    def __init__(self, context: Context, descents: Descents, bounds: Bounds, report: Callable[[Fault], None]) -> None:
+        self.turned_s = -math.inf
+        self._context, self._descents = context, descents
+        self._bounds = bounds
+        self._report = report
+        self._known: set[tuple[FaultKind, tuple[VehicleAddress, ...]]] = set()
+        self._off_course_s: dict[VehicleAddress, float] = {}  # since when
+        self._given_up_s: dict[int, float] = {}
+        self._told_speed_m_s = np.zeros(len(context.fleet.vehicles))
+        self._time = context.journal.time
+
+    async def run(self) -> None:
+        """Look, for ever."""
+        blind_until_s = -math.inf
+        async for _, late_s in ticks(self._time(), WATCH_S):
+            now_s = self.turned_s = self._time()
+            if late_s > STALL_S:  # this program stood still: what the vehicles said meanwhile has yet to be read
+                blind_until_s = now_s + STALL_S
+            watched = WATCHED.get(self._context.journal.stage, frozenset())
+            if watched and now_s >= blind_until_s:
+                self._look(watched, now_s)
+            self._attend(now_s)
+
+    def _look(self, watched: frozenset[FaultKind], now_s: float) -> None:
+        context = self._context
+        rows = [row for row in sorted(context.custody.asked) if context.custody.counted_on(row)]
+        rows = [row for row in rows if not self._descents.is_begun(row)]
+        picture = self._picture(rows, now_s)
+        found = self._confirmed(findings(picture, context.task.rules, self._bounds), now_s)
+        found = [one for one in found if one.kind in watched]
+        new = [one for one in found if (one.kind, one.vehicles) not in self._known]
+        self._known.update((one.kind, one.vehicles) for one in new)
+        self._take_back(found, rows)
+        for fault in faults(new, context.task.rules, now_s):
+            context.journal.event(
+                "fault",
+                fault.text,
+                fault=fault.kind.value,
+                vehicles=[vehicle.label for vehicle in fault.vehicles],
+                value=fault.value if math.isfinite(fault.value) else None,
+            )
+            self._take(fault, picture)
+            self._report(fault)
+
+    def _picture(self, rows: list[int], now_s: float) -> Picture:
+        fleet, motion = self._context.fleet, self._context.streamer.motion
+        told: Array = np.full((len(fleet.vehicles), 3), np.nan)
+        self._told_speed_m_s *= math.exp(-WATCH_S / FORGETS_S)
+        if motion is not None:
+            wanted, moved = motion.at(now_s), np.asarray(motion.rows)
+            told[moved] = wanted.position_m
+            speeds = np.linalg.norm(wanted.velocity_m_s, axis=1)
+            self._told_speed_m_s[moved] = np.maximum(self._told_speed_m_s[moved], speeds)
+        places = fleet.positions_enu_m(now_s)
+        return Picture(fleet.vehicles, rows, places, fleet.states.position_at_s, told, self._told_speed_m_s, now_s)
+
+    def _confirmed(self, found: list[Finding], now_s: float) -> list[Finding]:
+        """Return the findings of which courses count that were left for a while, and those that were left for good."""
+        off = {one.vehicles[0]: one for one in found if one.kind is FaultKind.OFF_COURSE}
+        self._off_course_s = {address: self._off_course_s.get(address, now_s) for address in off}
+        kept = [one for one in found if one.kind is not FaultKind.OFF_COURSE]
+        for address, one in off.items():
+            lasts_s = now_s - self._off_course_s[address]
+            vehicle = self._context.fleet.vehicles[self._context.fleet.row_of[address]]
+            if lasts_s > vehicle.stream_timeout_s + SPARE_S:
+                kept.append(one._replace(kind=FaultKind.DEAF))
+            elif lasts_s > CONFIRMED_S:
+                kept.append(one)
+        return kept
+
+    def _take(self, fault: Fault, picture: Picture) -> None:
+        """Change the care of the vehicles that a fault is about."""
+        context, care = self._context, ROWS[fault.kind].care
+        if care is Care.FLY:
+            return
+        rows = [context.fleet.row_of[address] for address in fault.vehicles]
+        for row in rows:
+            context.custody.take(row, care, picture.told_enu_m[row])
+            if care in (Care.LAND, Care.LEAVE):
+                self._given_up_s.setdefault(row, picture.now_s)
+        if care is Care.LEAVE:
+            context.streamer.release(rows)
+        elif fault.kind is FaultKind.OWN_FAILSAFE:  # it comes down already; but PX4 would follow a stream again
+            self._descents.begin(rows)
+
+    def _take_back(self, found: list[Finding], rows: list[int]) -> None:
+        """Let those fly on that are heard again, where they should be."""
+        custody, fleet = self._context.custody, self._context.fleet
+        waited = {address for one in found if ROWS[one.kind].care is not Care.FLY for address in one.vehicles}
+        back = [row for row in rows if custody.care(row) is Care.TELL and fleet.vehicles[row].address not in waited]
+        for row in back:
+            custody.take(row, Care.FLY)
+        addresses = [fleet.vehicles[row].address for row in back]
+        if addresses:
+            be = "is" if len(addresses) == 1 else "are"
+            self._context.journal.event("notice", f"{vehicles_named(addresses)} {be} there again")
+            gone = {(kind, (address,)) for kind in FaultKind if ROWS[kind].care is Care.TELL for address in addresses}
+            self._known -= gone
+
+    def _attend(self, now_s: float) -> None:
+        """Command those to land that were given up, as soon as nobody is below them."""
+        custody, rules = self._context.custody, self._context.task.rules
+        for row, care in custody.given_up():
+            if care is not Care.LAND or self._descents.is_begun(row):
+                continue
+            since_s = self._given_up_s.setdefault(row, now_s)
+            if now_s - since_s > PARTED_S or not custody.is_below(row, custody.flying(), rules.separation_m):
+                self._descents.begin([row])

@@ -1,0 +1,124 @@
+"""Random trials, each a pure function of its seed: a mission, an autopilot, and one or two things that go wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from fg_gcs.mission.model import Mission
+from fg_gcs.run.trial import Trial
+
+Table = dict[str, Any]
+Draw = np.random.Generator
+
+STAGES: Final = ("take-off", "gather", "approach", "hold", "home", "land")
+LASTS_S: Final = (2.0, 4.0, 6.0, np.inf)
+MODES: Final = MappingProxyType({"px4": ("LAND", "LOITER", "RTL"), "ardupilot": ("LAND", "LOITER", "RTL")})
+MOST_AFTER_S: Final = 4.0  # after a stage has begun something goes wrong
+AFTER_EACH_OTHER_S: Final = 1.0  # two things that go wrong
+
+
+def trial_of(seed: int, missions: Sequence[Mission], autopilots: Sequence[str], dynamics: Sequence[str]) -> Trial:
+    """Return the trial of a seed.
+
+    Args:
+        seed: 0 or more.
+        missions: of which one is flown.
+        autopilots: of which the simulator plays one.
+        dynamics: of which vehicles fly by one.
+    """
+    draw = np.random.default_rng([seed, 0x7A1A1])
+    mission = missions[int(draw.integers(len(missions)))]
+    autopilot = autopilots[int(draw.integers(len(autopilots)))]
+    chosen = dynamics[int(draw.integers(len(dynamics)))]
+    faults: list[Table] = []
+    impairments: list[Table] = []
+    stops: list[tuple[str, float]] = []
+    stage = STAGES[int(draw.integers(len(STAGES)))]
+    at_s = float(np.round(draw.uniform(0.0, MOST_AFTER_S), 2))
+    for _ in range(1 + int(draw.integers(2))):
+        kind = list(WRONGS)[int(draw.integers(len(WRONGS)))]
+        WRONGS[kind](_Making(draw, mission, autopilot, stage, at_s, faults, impairments, stops))
+        at_s = float(np.round(at_s + draw.uniform(0.0, AFTER_EACH_OTHER_S), 2))
+    return Trial(mission, autopilot, chosen, tuple(faults), tuple(impairments), tuple(stops))
+
+
+class _Making:
+    """A trial that is being made."""
+
+    def __init__(
+        self,
+        draw: Draw,
+        mission: Mission,
+        autopilot: str,
+        stage: str,
+        at_s: float,
+        faults: list[Table],
+        impairments: list[Table],
+        stops: list[tuple[str, float]],
+    ) -> None:
+        self.draw, self.autopilot, self.stage, self.at_s = draw, autopilot, stage, at_s
+        self.faults, self.impairments, self.stops = faults, impairments, stops
+        self._ids = mission.swarm.ids()
+
+    def window(self, most: int = 2) -> Table:
+        """Some vehicles, from the time on."""
+        count = int(self.draw.integers(1, most + 1))
+        chosen = sorted(self.draw.choice(self._ids, count, replace=False).tolist())
+        return {"vehicles": chosen, "stage": self.stage, "at_s": self.at_s}
+
+    def lasting(self) -> Table:
+        """How long, or for good."""
+        lasts_s = LASTS_S[int(self.draw.integers(len(LASTS_S)))]
+        return {} if np.isinf(lasts_s) else {"for_s": lasts_s}
+
+
+def _muted(direction: str) -> Callable[[_Making], None]:
+    def make(it: _Making) -> None:
+        it.impairments.append({"direction": direction, "loss": 1.0, **it.window(), **it.lasting()})
+
+    return make
+
+
+def _poor_link(it: _Making) -> None:
+    loss = float(np.round(it.draw.uniform(0.0, 0.2), 2))
+    it.impairments.append({"loss": loss})
+
+
+def _late_link(it: _Making) -> None:
+    it.impairments.append({"delay_s": 0.1, "jitter_s": 0.1, "reorder": 0.1, "duplicate": 0.1})
+
+
+def _taken(it: _Making) -> None:
+    modes = MODES[it.autopilot]
+    it.faults.append({"kind": "taken_over", "mode": modes[int(it.draw.integers(len(modes)))], **it.window(1)})
+
+
+def _dead(it: _Making) -> None:
+    it.faults.append({"kind": "dead", **it.window(1)})
+
+
+def _battery(it: _Making) -> None:
+    it.faults.append({"kind": "battery_low", "remaining": 0.12, **it.window(1)})
+
+
+def _stop(it: _Making) -> None:
+    it.stops.append((it.stage, it.at_s))
+
+
+WRONGS: Final[Mapping[str, Callable[[_Making], None]]] = MappingProxyType(
+    {
+        "telemetry muted": _muted("from_vehicle"),
+        "commands muted": _muted("to_vehicle"),
+        "both muted": _muted("both"),
+        "a poor link": _poor_link,
+        "a late link": _late_link,
+        "taken over": _taken,
+        "dead": _dead,
+        "a low battery": _battery,
+        "a stop": _stop,
+    }
+)
