@@ -8,7 +8,6 @@ from fg_gcs.core import solid_angle
 from fg_gcs.core.arrays import Array
 
 FACING = 0.99  # a face counts as turned to its target from here on (the project's figure for "after the first turn")
-LEAST_FLUX = 1e-12  # of a face whose leaders stand in a line, as on the ground: no share of it can be told [sr]
 
 
 def flux_metric(rims_enu_m: Array, sources_enu_m: Array) -> Array:
@@ -41,7 +40,7 @@ def coverage(rims_enu_m: Array, sources_enu_m: Array) -> Array:
     centres = rims_enu_m.mean(axis=1)
     distances = np.linalg.norm(np.asarray(sources_enu_m) - centres, axis=1)
     best = solid_angle.flux(rims_enu_m, (centres + distances[:, None] * normals(rims_enu_m))[:, None, :])
-    return np.clip(_flux(rims_enu_m, sources_enu_m) / np.maximum(best, LEAST_FLUX), 0.0, 1.0)
+    return np.clip(_flux(rims_enu_m, sources_enu_m) / np.maximum(best, np.finfo(float).tiny), 0.0, 1.0)
 
 
 def least_after_facing(covered: Array) -> float | None:
