@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.wire.states import StateTable
+from fg_gcs.wire.states import VELOCITIES_S, StateTable
 
 MOST_CARRIED_S: Final = 0.5  # a sample is carried on for so long: what a vehicle did is then no longer what it does
 MOST_ACCELERATION_M_S2: Final = 5.0  # of any vehicle that flies within its mission's limits
@@ -54,8 +54,10 @@ def located(
     age_s = states.ages_s(now_s)
     carried_s = np.minimum(age_s, MOST_CARRIED_S)
     span_s = measured_s - earlier[:, 3]
-    curve = np.zeros_like(age_s)  # without two velocities that are not far apart
-    np.divide(0.5 * carried_s * carried_s, span_s, out=curve, where=(span_s > 0.0) & (span_s < MOST_CARRIED_S))
+    curve = np.zeros_like(age_s)  # without two velocities that are neither close together nor far apart
+    np.divide(
+        0.5 * carried_s * carried_s, span_s, out=curve, where=(span_s >= VELOCITIES_S) & (span_s < MOST_CARRIED_S)
+    )
     places, velocities = np.empty((2, len(measured_s), 3))
     squares = np.zeros(len(measured_s))
     for axis, to in enumerate((1, 0, 2)):  # axis by axis, because NumPy is slow with rows of three
