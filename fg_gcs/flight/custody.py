@@ -18,6 +18,7 @@ RISES_M = 1.0  # how much higher than where it was last it may be
 BRAKES_M_S2 = 2.0  # what a vehicle brakes by when its own time-out has passed: ArduCopter's default
 RETURN_M = 30.0  # height at which PX4 returns when it is far; ArduCopter does at 15 m
 ON_GROUND_M = 0.5  # the height that a vehicle on the ground takes up
+BLOCKS_M = 2.0  # a vehicle so near to another one's pad is in its way
 FRESH_S = 1.0  # a position older than that is where a vehicle was
 
 
@@ -118,6 +119,14 @@ class Custody:
         told = self._told_enu_m.get(row, place)
         radius_m = UNHEARD_M + _from_line(told[:2], place[:2], away[:2])
         return _around(place, away, max(place[2], away[2], told[2]) + RISES_M, radius_m)
+
+    def is_blocked(self, row: int) -> bool:
+        """Say whether a mode leads a vehicle to its pad, and another one of ours is there."""
+        if not _travels(self._fleet.vehicles[row]):
+            return False
+        away = np.linalg.norm(self._fleet.positions_enu_m()[:, :2] - self._pads_enu_m[row, :2], axis=1)
+        away[row] = np.inf
+        return bool((away < BLOCKS_M).any())
 
     def is_below(self, row: int, others: Iterable[int], clear_m: float) -> bool:
         """Say whether one of some vehicles is where another may come down, nearer than a distance [m]."""

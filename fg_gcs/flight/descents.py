@@ -131,8 +131,14 @@ class Descents:
         if math.isinf(descent.left_s):
             return False
         waits_s = self._taken_wait_s
-        if now_s - descent.left_s < waits_s:
+        blocked = self._custody.is_blocked(self._fleet.row_of[vehicle.address])
+        if now_s - descent.left_s < waits_s and not blocked:
             return True
+        if blocked:
+            text = f"vehicle {vehicle.address} is in {vehicle.mode_name}, which leads it to where another one is"
+            self._journal.event("notice", f"{text}, so it is landed")
+            descent.left_s = math.inf
+            return False
         text = f"vehicle {vehicle.address} is in {vehicle.mode_name}; nobody has brought it down for {waits_s:g} s"
         self._journal.event("notice", f"{text}, so it is landed")
         descent.left_s = math.inf
