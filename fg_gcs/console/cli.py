@@ -30,6 +30,7 @@ examples:
   fg-gcs bench record                                what recording nine vehicles takes of a core
   fg-gcs bench stream                                setpoints beside other ground stations and a bare loop
   fg-gcs bench sim                                   the simulator alone, and whole flights with it
+  fg-gcs recover                                     bring down what a crash left flying, put parameters back
   fg-gcs trial missions/*.toml --count 100           flights with random faults, judged by the simulator's truth
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
 
@@ -45,6 +46,15 @@ STREAM_EPILOG = """examples:
   fg-gcs bench stream --json --seconds 30            longer, and one JSON object for programs
 
 Vehicles are played by a small process of their own, which sends frames made beforehand and counts what comes.
+"""
+
+
+RECOVER_EPILOG = """examples:
+  fg-gcs recover                                     after a crash: everything that run had in the air
+  fg-gcs recover --connect udpin:127.0.0.1:14550     the same where vehicles are heard elsewhere now
+
+exit codes: 0 everything is down and has its own parameters, 2 the run is alive, 3 no vehicle answered,
+  5 something is left to do
 """
 
 
@@ -83,6 +93,7 @@ def parser() -> argparse.ArgumentParser:
     _add_experiment(commands)
     _add_bench(commands)
     _add_trial(commands)
+    _add_recover(commands)
     report = commands.add_parser("report", help="write a run's report again", description="Write a report again.")
     report.add_argument("log", type=Path, metavar="LOG", help="folder of a recorded run")
     return top
@@ -180,6 +191,31 @@ def _add_trial(commands: Commands) -> None:
         "--dynamics", action="append", choices=("paper", "measured"), help="repeat for more (default: paper)"
     )
     trial.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+
+
+def _add_recover(commands: Commands) -> None:
+    recover = commands.add_parser(
+        "recover",
+        help="bring down what a crash left flying",
+        description="Find the vehicles of a run that crashed or was killed, bring them down apart from each other, and "
+        "put their own parameters back where they are still as that run set them. Others are left alone.",
+        epilog=RECOVER_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    recover.add_argument(
+        "--connect",
+        action="append",
+        metavar="[NAME=]ENDPOINT",
+        help="where vehicles are (default: where that run had them)",
+    )
+    recover.add_argument(
+        "--wait", type=_positive, default=5.0, metavar="S", help="for heartbeats (default: %(default)g s)"
+    )
+    recover.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
+    recover.add_argument(
+        "--state", type=Path, metavar="DIR", help="where parameters are kept (default: the user's own)"
+    )
+    recover.add_argument("--json", action="store_true", help="print one JSON object on stdout")
 
 
 def _add_experiment(commands: Commands) -> None:
@@ -339,6 +375,10 @@ def _run(chosen: argparse.Namespace) -> int:
             from fg_gcs.console import bench
 
             return bench.run(chosen)
+        case "recover":
+            from fg_gcs.console import recover
+
+            return recover.run(chosen)
         case "trial":
             from fg_gcs.console import trial
 

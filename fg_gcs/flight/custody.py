@@ -32,10 +32,12 @@ class Custody:
 
     Attributes:
         asked: rows of vehicles that were asked to arm: they are ours to bring down.
+        avoided: rows of those that were given up and that the present plan keeps clear of.
     """
 
     def __init__(self, fleet: Fleet, pads_enu_m: Array, time: Callable[[], float]) -> None:
         self.asked: set[int] = set()
+        self.avoided: set[int] = set()
         self._fleet = fleet
         self._pads_enu_m = pads_enu_m
         self._time = time
@@ -91,7 +93,8 @@ class Custody:
         return ((row, self._care[row]) for row in self.lost)
 
     def columns(self) -> list[Column]:
-        """Return where the vehicles may be by now that were given up, down to the ground."""
+        """Return where those may be by now that were given up, down to the ground: what is planned now avoids it."""
+        self.avoided.update(self.lost)
         return [self.column(row) for row in self.lost]
 
     def column(self, row: int) -> Column:

@@ -17,6 +17,7 @@ from fg_gcs.flight.context import Context
 from fg_gcs.flight.custody import Custody
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.discovery import discover
+from fg_gcs.flight.failsafes import Failsafes
 from fg_gcs.flight.fleet import STEP_S, Fleet
 from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.journal import Journal
@@ -33,7 +34,7 @@ from fg_gcs.flight.policy import (
     refused,
     respond,
 )
-from fg_gcs.flight.preparation import Failsafes, prepare, vehicle_limits
+from fg_gcs.flight.preparation import prepare, vehicle_limits
 from fg_gcs.flight.safety import Bounds
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.sortie import Sortie
@@ -46,6 +47,7 @@ from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Counters, Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
+from fg_gcs.record.write.kept_parameters import KeptParameters
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
 from fg_gcs.wire.phases import Phase
@@ -68,6 +70,7 @@ class Setup(NamedTuple):
     simulated: bool  # the vehicles are our own simulator's: the mission says where the world's origin is
     stopwatch: Callable[[], float]  # seconds, for planning times
     substitutes: Substitutes = Substitutes()  # for the sources of sightings that the mission names
+    kept: KeptParameters | None = None  # where users' own values of parameters are kept while they are changed
 
 
 @dataclass
@@ -225,6 +228,8 @@ class Director:
                 return
             flight = flights[0]
             self._start(flight, supervisor)
+            watch = partial(failsafes[0].watch, self._report)
+            supervisor.start(bystander("parameters", watch, lambda: failsafes[0].turned_s, BYSTANDER_DOG_S))
             await self._conduct(flight)
         finally:
             for flight in flights:
@@ -400,7 +405,7 @@ class Director:
         task = self.mission.task()
         await prepare(fleet, self.journal)
         limits = vehicle_limits(fleet, task.rules.limits, self.journal)
-        failsafes.append(Failsafes(fleet, self.journal))
+        failsafes.append(Failsafes(fleet, self.journal, self._setup.kept))
         await failsafes[0].set()
         origin = self.mission.origin_geodetic() if self._knows_origin else None
         fleet.learn_frames(origin, self.mission.pads_enu_m()[0])
@@ -475,6 +480,8 @@ class Director:
             await failsafes.put_back()
         except VehicleError as error:
             self.journal.event("warning", f"failsafe parameters are not restored: {error}")
+        for line in failsafes.told_at_the_end():
+            self.journal.event("end", line)
 
     def _count(self) -> None:
         vehicles = self.fleet.vehicles if self.fleet else ()

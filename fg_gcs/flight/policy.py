@@ -76,7 +76,6 @@ class FaultKind(Enum):
     TAKEN = "taken"
     OWN_FAILSAFE = "own_failsafe"
     DISARMED = "disarmed"
-    ORIGIN = "origin"
     SEPARATION = "separation"
     FENCE = "fence"
     BATTERY = "battery"
@@ -183,14 +182,6 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
             Rung.HOME,
             Care.LEAVE,
             "its last telemetry",
-        ),
-        FaultKind.ORIGIN: Row(
-            "a vehicle's local origin has moved",
-            "GPS_GLOBAL_ORIGIN, or local against global positions",
-            "1 s",
-            Rung.HOME,
-            Care.LAND,
-            "both origins",
         ),
         FaultKind.SEPARATION: Row(
             "two vehicles are closer than the minimum",

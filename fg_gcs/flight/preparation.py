@@ -10,8 +10,8 @@ from fg_gcs.flight.fleet import Fleet, NotInTime, until
 from fg_gcs.flight.journal import Journal
 from fg_gcs.plan.limits import Limits
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
-from fg_gcs.wire.autopilots import AutopilotProfile, FailsafeParameter, TakeOff
-from fg_gcs.wire.commands import request_origin, set_message_interval, set_mode, write_parameter
+from fg_gcs.wire.autopilots import AutopilotProfile, TakeOff
+from fg_gcs.wire.commands import request_origin, set_message_interval, set_mode
 from fg_gcs.wire.dialogue import Question
 from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
@@ -118,81 +118,3 @@ def vehicle_limits(fleet: Fleet, limits: Limits, journal: Journal) -> Limits:
             text = f"{quantity} lowered to {value:g} by {name} of vehicle {address}"
             journal.event("limit", text)
     return limits.lowered_to(**{quantity: value for quantity, (value, _, _) in lowest.items()})
-
-
-class Failsafes:
-    """What the vehicles do when we fall silent: set before arming, put back after the flight."""
-
-    def __init__(self, fleet: Fleet, journal: Journal) -> None:
-        """Touch nothing yet."""
-        self._fleet = fleet
-        self._journal = journal
-        self._found: list[tuple[Vehicle, str, float]] = []
-
-    async def set(self) -> None:
-        """Change those failsafes that are unsafe for a swarm, as `prepare` has read them; say what was found and set.
-
-        Raises:
-            VehicleError: a vehicle keeps an unsafe value; names vehicle and parameter.
-        """
-        vehicles = self._fleet.vehicles
-        self._found = [
-            (vehicle, failsafe.name, vehicle.params[failsafe.name])
-            for vehicle in vehicles
-            for failsafe in vehicle.profile.failsafes
-            if _to_change(vehicle, failsafe)
-        ]
-        self._keep()  # before anything is changed: whatever happens, what was found can be looked up
-        await self._fleet.ask(
-            vehicles,
-            lambda vehicle: [
-                write_parameter(failsafe.name, failsafe.wanted)
-                for failsafe in vehicle.profile.failsafes
-                if failsafe.wanted is not None and _to_change(vehicle, failsafe)
-            ],
-            AT_ONCE,
-        )
-        self._report()
-
-    async def put_back(self) -> None:
-        """Restore what was found on the vehicles that are heard and seen disarmed: in the air each keeps its failsafe.
-
-        Raises:
-            VehicleError: a vehicle does not take its old value back.
-        """
-        now_s = self._journal.time()
-        heard = [vehicle for vehicle in self._fleet.vehicles if now_s - vehicle.heard_at_s < 1.0]
-        await self._fleet.ask(
-            [vehicle for vehicle in heard if not vehicle.armed],
-            lambda vehicle: [write_parameter(name, value) for owner, name, value in self._found if owner is vehicle],
-            AT_ONCE,
-        )
-
-    def _keep(self) -> None:
-        """Let the record have every parameter that was read, as found, and those that are set for the flight."""
-        kept = []
-        for vehicle in self._fleet.vehicles:
-            to_set = {f.name: f.wanted for f in vehicle.profile.failsafes if _to_change(vehicle, f)}
-            address = vehicle.address._asdict()
-            kept.append({**address, "autopilot": vehicle.profile.name, "found": dict(vehicle.params), "set": to_set})
-        self._journal.recorder.parameters(kept)
-
-    def _report(self) -> None:
-        groups: dict[tuple[str, float, float | None, str], list[VehicleAddress]] = {}
-        changed = {(vehicle.address, name): value for vehicle, name, value in self._found}
-        for vehicle in self._fleet.vehicles:
-            for failsafe in vehicle.profile.failsafes:
-                if failsafe.name in vehicle.params:
-                    value = vehicle.params[failsafe.name]
-                    found = changed.get((vehicle.address, failsafe.name), value)
-                    to = value if (vehicle.address, failsafe.name) in changed else None
-                    groups.setdefault((failsafe.name, found, to, failsafe.reason), []).append(vehicle.address)
-        for (name, found, to, reason), addresses in groups.items():
-            change = "" if to is None else f", set to {to:g} for this flight"
-            kind = "found" if to is None else "failsafe"
-            self._journal.event(kind, f"{name} = {found:g}{change} on {vehicles_named(addresses)} ({reason})")
-
-
-def _to_change(vehicle: Vehicle, failsafe: FailsafeParameter) -> bool:
-    value = vehicle.params.get(failsafe.name)
-    return failsafe.wanted is not None and value is not None and value != failsafe.wanted

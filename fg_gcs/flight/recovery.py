@@ -83,7 +83,7 @@ class Recovery:
         fleet = self._fleet
         await fleet.ask(fleet.vehicles, self._streams)
         fleet.learn_frames_in_flight()
-        landing = [row for row, vehicle in enumerate(fleet.vehicles) if _lands(vehicle)]
+        landing = self._alone_below()
         for row in landing:  # they come down already: PX4 would come back from its failsafe if it were sent setpoints
             custody.take(row, Care.LAND)
         descents.begin(landing)
@@ -102,6 +102,15 @@ class Recovery:
         await asyncio.sleep(motion.end_s - self._journal.time())
         with suppress(VehicleError):  # they land all the same, from where they have got to
             await self._settle(flying, motion.at(motion.end_s).position_m, "the places to land")
+
+    def _alone_below(self) -> list[int]:
+        """Rows of the vehicles that land already, and meet nobody on their way down."""
+        fleet = self._fleet
+        flat = fleet.positions_enu_m(self._journal.time())[:, :2]
+        apart = np.linalg.norm(flat[:, None] - flat[None, :], axis=2)
+        np.fill_diagonal(apart, np.inf)
+        alone = apart.min(axis=1, initial=np.inf) >= self._rules.separation_m
+        return [row for row, vehicle in enumerate(fleet.vehicles) if _lands(vehicle) and alone[row]]
 
     async def _hold(self, rows: Sequence[int], places: Array) -> None:
         """Take vehicles, in whatever mode they are, and hold them where they are."""

@@ -38,7 +38,6 @@ _ONE: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.DISARMED: "disarmed in flight",
         FaultKind.FENCE: "is outside the fence",
         FaultKind.BATTERY: "has a low battery",
-        FaultKind.ORIGIN: "has moved its local origin",
     }
 )
 _MANY: Final[Mapping[FaultKind, str]] = MappingProxyType(
@@ -53,7 +52,6 @@ _MANY: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.DISARMED: "disarmed in flight",
         FaultKind.FENCE: "are outside the fence",
         FaultKind.BATTERY: "have low batteries",
-        FaultKind.ORIGIN: "have moved their local origins",
     }
 )
 

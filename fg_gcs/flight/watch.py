@@ -150,5 +150,6 @@ class Watch:
             if care is not Care.LAND or self._descents.is_begun(row):
                 continue
             since_s = self._given_up_s.setdefault(row, now_s)
-            if now_s - since_s > PARTED_S or not custody.is_below(row, custody.flying(), rules.separation_m):
+            clear = row in custody.avoided and not custody.is_below(row, custody.flying(), rules.separation_m)
+            if clear or now_s - since_s > PARTED_S or not custody.flying():
                 self._descents.begin([row])

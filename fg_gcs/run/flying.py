@@ -25,6 +25,7 @@ from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
 from fg_gcs.record.read.run import RunError
 from fg_gcs.record.report.report import write_report
+from fg_gcs.record.write.kept_parameters import KeptParameters, state_folder
 from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder
 from fg_gcs.run.observing import Audience, Observer
 from fg_gcs.run.simulators import TRUTH, SimulatorWish, check_simulator, free_port, simulated, wish_of
@@ -57,6 +58,8 @@ class FlyOptions:
             otherwise only if the mission names one, else it is learnt from where the vehicles stand.
         snapshot_hz: how often observers get a snapshot at most, never more than 25 [Hz].
         write_report: write the report when the run has ended; :func:`fg_gcs.run.reporting.report` does it later.
+        state: folder in which users' own values of parameters are kept while a flight changes them; None: the user's
+            state folder, and nowhere with the built-in simulator or in virtual time: those vehicles end with the run.
         serve_snapshots: offer snapshots to other programs on a socket in the run's folder; never in virtual time.
     """
 
@@ -71,6 +74,7 @@ class FlyOptions:
     logs: Path = Path("logs")
     knows_origin: bool | None = None
     snapshot_hz: float = 25.0
+    state: Path | None = None
     serve_snapshots: bool = True
     write_report: bool = True
 
@@ -342,13 +346,29 @@ async def _surroundings(
                 simulators.begin_stage(text)
 
         recorder.listeners.append(told)
+        kept = _kept(options, own or virtual, recorder)
         yield Setup(
             parse_networks([f"udpin:127.0.0.1:{port}"]) if own else networks,
             options.wait_s,
             own if options.knows_origin is None else options.knows_origin,
             time.perf_counter,
             Substitutes(f"udpin:127.0.0.1:{targets_port}", options.motions, options.sightings),
+            kept,
         )
+        if kept is not None:
+            kept.close()
+
+
+def _kept(options: FlyOptions, made_up: bool, recorder: Recorder) -> KeptParameters | None:
+    """Open where users' own parameters are kept; None where nothing has to outlive the run, or the disk refuses."""
+    if options.state is None and made_up:
+        return None
+    folder = options.state or state_folder()
+    try:
+        return KeptParameters(folder)
+    except OSError as error:
+        recorder.event(asyncio.get_running_loop().time(), "warning", f"{folder}: {error.strerror or error}")
+        return None
 
 
 def _finished(

@@ -1,9 +1,9 @@
 """The order in which frames left their sender, told by their sequence numbers; what comes twice is dropped.
 
 A datagram may come late, twice, or not at all. MAVLink numbers the frames of a sender modulo 256 on each link, which is
-enough to tell these apart while fewer frames are lost in a row than half of that, and to notice when it is not. It is not
-enough where everything comes a second time just as long later as 256 frames take, three seconds of PX4's: numbers alone
-cannot tell the second from the first then.
+enough to tell these apart while fewer frames are lost in a row than half of that, and to notice when it is not. It is
+not enough where everything comes a second time just as long later as 256 frames take, three seconds of PX4's: numbers
+alone cannot tell the second from the first then.
 """
 
 from collections.abc import Sequence

@@ -13,9 +13,10 @@ from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.errors import VehicleError
 from fg_gcs.flight.discovery import discover
+from fg_gcs.flight.failsafes import Failsafes
 from fg_gcs.flight.fleet import Fleet, until
 from fg_gcs.flight.journal import Journal
-from fg_gcs.flight.preparation import Failsafes, prepare, vehicle_limits
+from fg_gcs.flight.preparation import prepare, vehicle_limits
 from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.link.endpoint import parse_networks
 from fg_gcs.link.router import Router
@@ -82,7 +83,7 @@ def armed(folder: Path, autopilot: str, count: int, judge: Judge) -> Times:
             await prepare(fleet, journal)
             times_s.append(time())
             vehicle_limits(fleet, Limits(8.0, 4.0), journal)
-            await Failsafes(fleet, journal).set()
+            await Failsafes(fleet, journal, None).set()
             times_s.append(time())
             await fleet.ask(fleet.vehicles, lambda vehicle: [set_mode(vehicle.profile.waiting_mode), arm()])
             times_s.append(time())

@@ -72,6 +72,7 @@ class KeptParameters:
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
+        _sweep(folder)
         self.lock = f"run-{os.getpid()}-{id(self):x}.lock"
         self._held: IO[bytes] = (folder / self.lock).open("wb")
         fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -82,6 +83,10 @@ class KeptParameters:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """The run has ended; once is enough."""
         with suppress(OSError):
             (self.folder / self.lock).unlink()
         self._held.close()
@@ -130,6 +135,14 @@ def is_alive(folder: Path, kept: Kept) -> bool:
     except OSError:
         return False
     return False
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the locks of runs that were killed."""
+    for path in folder.glob("run-*.lock"):
+        with suppress(OSError), path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink()
 
 
 def _kept(fields: Mapping[str, Any]) -> Kept:

@@ -1,0 +1,196 @@
+"""What vehicles do when we fall silent: set before arming, watched in flight, put back when each is seen disarmed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from fg_gcs.flight.fleet import Fleet
+from fg_gcs.flight.journal import Journal
+from fg_gcs.flight.policy import Fault, FaultKind
+from fg_gcs.flight.preparation import AT_ONCE
+from fg_gcs.link.clock import ticks
+from fg_gcs.record.write.kept_parameters import Kept, KeptParameters
+from fg_gcs.wire.address import VehicleAddress, vehicles_named
+from fg_gcs.wire.autopilots import FailsafeParameter
+from fg_gcs.wire.commands import write_parameter
+from fg_gcs.wire.params import same
+from fg_gcs.wire.reading import read
+from fg_gcs.wire.vehicle import Vehicle
+
+LOOKS_S: Final = 2.0  # between two looks at what is set: noticed within 5 s on a link that loses a third
+HEARD_S: Final = 1.5  # a vehicle that was not heard for longer cannot be asked
+
+
+class Failsafes:
+    """The failsafe parameters of a fleet.
+
+    Args:
+        fleet: the vehicles, their parameters read.
+        journal: where to tell of it.
+        kept: where users' own values are kept on disk; None: nowhere.
+
+    Attributes:
+        turned_s: the loop's time of the newest sign of life of `watch` [s].
+    """
+
+    def __init__(self, fleet: Fleet, journal: Journal, kept: KeptParameters | None) -> None:
+        self.turned_s = -math.inf
+        self._fleet = fleet
+        self._journal = journal
+        self._kept = kept
+        self._found: dict[Vehicle, dict[str, float]] = {}  # users' own values of what is changed
+        self._set: dict[Vehicle, dict[str, float]] = {}  # what they are set to
+        self._files: dict[Vehicle, Kept] = {}
+        self._told: set[tuple[VehicleAddress, str, float]] = set()
+
+    async def set(self) -> None:
+        """Change those failsafes that are unsafe for a swarm, as `prepare` has read them; say what was found and set.
+
+        A value that an earlier run has set, and did not put back because it crashed, is not taken for the user's own.
+
+        Raises:
+            VehicleError: a vehicle keeps an unsafe value; names vehicle and parameter.
+        """
+        left = [] if self._kept is None else self._kept.left()
+        for vehicle in self._fleet.vehicles:
+            own = self._left_of(vehicle, left)
+            for failsafe in vehicle.profile.failsafes:
+                value = vehicle.params.get(failsafe.name)
+                if failsafe.wanted is None or value is None:
+                    continue
+                if failsafe.name in own and same(value, failsafe.wanted):
+                    value = own[failsafe.name]
+                    text = f"{failsafe.name} = {failsafe.wanted:g} is left by a run that crashed; it was {value:g}"
+                    self._journal.event("failsafe", f"vehicle {vehicle.address}: {text}")
+                if value != failsafe.wanted:
+                    self._found.setdefault(vehicle, {})[failsafe.name] = value
+                    self._set.setdefault(vehicle, {})[failsafe.name] = failsafe.wanted
+        self._keep()  # before anything is changed: whatever happens, what was found can be looked up
+        await self._fleet.ask(
+            list(self._set),
+            lambda vehicle: [write_parameter(name, value) for name, value in self._set[vehicle].items()],
+            AT_ONCE,
+        )
+        self._report()
+
+    async def watch(self, report: Callable[[Fault], None]) -> None:
+        """Read again what was set, for ever, and set it again where it has changed: run it as a task.
+
+        Args:
+            report: called with a fault when a parameter has another value.
+        """
+        router = self._fleet.router
+        async for _ in ticks(self._journal.time(), LOOKS_S):
+            self.turned_s = self._journal.time()
+            for vehicle, values in self._set.items():
+                for name, value in values.items():
+                    now = vehicle.params[name]
+                    if not same(now, value):
+                        self._tell(vehicle, name, now, report)
+                        for message in write_parameter(name, value).build(vehicle):
+                            router.send_message(vehicle.address, message)
+                    router.send_message(vehicle.address, read(vehicle, name))
+
+    async def put_back(self) -> None:
+        """Restore what was found on the vehicles that are heard and seen disarmed: in the air each keeps its failsafe.
+
+        Raises:
+            VehicleError: a vehicle does not take its old value back.
+        """
+        now_s = self._journal.time()
+        down = [v for v in self._found if not v.armed and now_s - v.heard_at_s < HEARD_S]
+        try:
+            await self._fleet.ask(
+                down,
+                lambda vehicle: [write_parameter(name, value) for name, value in self._found[vehicle].items()],
+                AT_ONCE,
+            )
+        finally:
+            for vehicle in down:
+                if self._kept is not None and vehicle in self._files and self.has_its_own(vehicle):
+                    self._kept.forget(self._files[vehicle])
+
+    def has_its_own(self, vehicle: Vehicle) -> bool:
+        """Say whether a vehicle has its user's own values, as last heard."""
+        found = self._found.get(vehicle, {})
+        return all(same(vehicle.params[name], value) for name, value in found.items())
+
+    def _tell(self, vehicle: Vehicle, name: str, now: float, report: Callable[[Fault], None]) -> None:
+        if (vehicle.address, name, now) in self._told:
+            return
+        self._told.add((vehicle.address, name, now))
+        text = f"{name} of vehicle {vehicle.address} has changed to {now:g}; it is set again"
+        self._journal.event("fault", text, fault=FaultKind.PARAMETER.value, vehicles=[vehicle.address.label], value=now)
+        report(Fault(FaultKind.PARAMETER, (vehicle.address,), text, self._journal.time(), now))
+
+    def _left_of(self, vehicle: Vehicle, left: Sequence[Kept]) -> dict[str, float]:
+        """Return a vehicle's own values that a run which did not end has changed and left so."""
+        endpoint = self._fleet.router.endpoint_of(vehicle.address)
+        for one in left:
+            if (one.network, one.system_id, one.endpoint) == (*vehicle.address, endpoint):
+                return {name: value for name, value in one.found.items() if name in one.set}
+        return {}
+
+    def _keep(self) -> None:
+        """Let the record have every parameter that was read, as found, and those that are set; and keep the users' own.
+
+        A disk that does not take them is told; the flight goes on, because the record has them, too.
+        """
+        rows = []
+        for vehicle in self._fleet.vehicles:
+            own, to_set = self._found.get(vehicle, {}), self._set.get(vehicle, {})
+            address, found = vehicle.address._asdict(), {**vehicle.params, **own}
+            rows.append({**address, "autopilot": vehicle.profile.name, "found": found, "set": to_set})
+            if self._kept is None or not to_set:
+                continue
+            endpoint, run = self._fleet.router.endpoint_of(vehicle.address), self._journal.recorder.folder
+            kept = Kept(
+                vehicle.address.network,
+                vehicle.address.system_id,
+                "",
+                endpoint,
+                vehicle.profile.name,
+                own,
+                to_set,
+                str(run.absolute()),
+                self._kept.lock,
+            )
+            try:
+                self._kept.keep(kept)
+                self._files[vehicle] = kept
+            except OSError as error:
+                self._journal.event(
+                    "warning", f"{self._kept.folder}: {error.strerror or error}: a crash would leave {to_set}"
+                )
+        self._journal.recorder.parameters(rows)
+
+    def _report(self) -> None:
+        groups: dict[tuple[str, float, float | None, str], list[VehicleAddress]] = {}
+        for vehicle in self._fleet.vehicles:
+            for failsafe in vehicle.profile.failsafes:
+                if failsafe.name in vehicle.params:
+                    groups.setdefault(self._line(vehicle, failsafe), []).append(vehicle.address)
+        for (name, found, to, reason), addresses in groups.items():
+            change = "" if to is None else f", set to {to:g} for this flight"
+            kind = "found" if to is None else "failsafe"
+            self._journal.event(kind, f"{name} = {found:g}{change} on {vehicles_named(addresses)} ({reason})")
+
+    def _line(self, vehicle: Vehicle, failsafe: FailsafeParameter) -> tuple[str, float, float | None, str]:
+        own = self._found.get(vehicle, {})
+        now = vehicle.params[failsafe.name]
+        changed = failsafe.name in own
+        return failsafe.name, own.get(failsafe.name, now), now if changed else None, failsafe.reason
+
+    def told_at_the_end(self) -> list[str]:
+        """Return lines that say where vehicles are, whether they are armed, and whose failsafes they have."""
+        groups: dict[str, list[VehicleAddress]] = {}
+        now_s = self._journal.time()
+        for vehicle in self._fleet.vehicles:
+            heard = now_s - vehicle.heard_at_s < HEARD_S
+            where = "in the air" if vehicle.airborne else "on the ground"
+            state = f"{where}, {'armed' if vehicle.armed else 'disarmed'}" if heard else "not heard any more"
+            own = "with its own failsafe" if self.has_its_own(vehicle) else "with the failsafe of this flight"
+            groups.setdefault(f"{state}, {own}", []).append(vehicle.address)
+        return [f"{vehicles_named(addresses)}: {text}" for text, addresses in groups.items()]

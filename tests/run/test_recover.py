@@ -1,0 +1,184 @@
+"""After a run that was killed: everything it had in the air comes down apart, and has its own parameters again."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fg_gcs.errors import LinkError
+from fg_gcs.link.clock import VirtualTimeLoop, ticks
+from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, read_kept
+from fg_gcs.run.flying import FlyOptions
+from fg_gcs.run.flying import fly as run_mission
+from fg_gcs.run.recovering import RecoverOptions, RecoverResult, recover
+from sitl_mock.host.server import Simulator, SimulatorOptions
+from tests.flight.harness import AUTOPILOTS, GROUND_PORT, OTHER_PORT, Flight, OtherStation, _Beside, mission_of
+
+OWN = {"px4": ("COM_OBL_RC_ACT", 0.0), "ardupilot": ("FS_GCS_ENABLE", 0.0)}
+UPRIGHT = """
+[swarm]
+vehicles = 4
+[formation]
+shape = "hemisphere"
+leaders = 4
+followers = 0
+edge_m = 4.0
+centre_enu_m = [0.0, 0.0, 12.0]
+normal_enu = [1.0, 0.0, 0.0]
+[target]
+position_enu_m = [12.0, 0.0, 12.0]
+[hold]
+duration_s = 30.0
+[limits]
+speed_m_s = 8.0
+acceleration_m_s2 = 4.0
+separation_m = 1.5
+[fence]
+low_enu_m = [-30.0, -30.0, 2.0]
+high_enu_m = [30.0, 30.0, 30.0]
+[takeoff]
+height_m = 2.5
+"""
+
+
+class Crash:
+    """A flight that is killed at a stage, and what `recover` makes of it some seconds later."""
+
+    def __init__(self, folder: Path, autopilot: str, stage: str, later_s: float, mode: str = "") -> None:
+        self.state, self.folder, self.mode = folder / "state", folder, mode
+        self.stage, self.later_s = stage, later_s
+        self.autopilot = autopilot
+        self.closest_m = np.inf
+
+    def run(self) -> RecoverResult:
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            return runner.run(self._run())
+
+    async def _run(self) -> RecoverResult:
+        mission = mission_of(self.folder, UPRIGHT)
+        self.simulator = Simulator(
+            SimulatorOptions(
+                autopilot=self.autopilot,
+                pads_enu_m=tuple((x, y) for x, y in mission.pads_enu_m().tolist()),
+                system_ids=mission.swarm.ids(),
+                remotes=(("127.0.0.1", GROUND_PORT), ("127.0.0.1", OTHER_PORT)),
+            )
+        )
+        await self.simulator.start()
+        other = await OtherStation.open()
+        killed = asyncio.Event()
+
+        async def kill(flight: Flight) -> None:
+            await flight.reaches(self.stage)
+            await asyncio.sleep(1.0)
+            if self.mode:
+                assert flight.director.fleet is not None
+                other.command_mode(2, flight.director.fleet.vehicles[1].profile.modes[self.mode])
+            # As the system does with a process that is killed: its sockets are closed, its locks are let go
+            assert flight.director._router is not None
+            flight.director._router.close()
+            assert flight.director._setup.kept is not None
+            flight.director._setup.kept.close()
+            killed.set()
+
+        options = FlyOptions(
+            (f"udpin:127.0.0.1:{GROUND_PORT}",),
+            knows_origin=True,
+            logs=self.folder,
+            state=self.state,
+            write_report=False,
+        )
+        flight = asyncio.ensure_future(run_mission(mission, options, [_Beside(self.simulator, kill)]))
+        await killed.wait()
+        assert len(read_kept(self.state)) == 4
+        await asyncio.sleep(self.later_s)
+        watch = asyncio.ensure_future(self._watch())
+        result = await recover(RecoverOptions(wait_s=6.0, logs=self.folder, state=self.state))
+        watch.cancel()
+        flight.cancel()
+        self.armed, self.highest_m = self.simulator.armed, self.simulator.positions_enu_m[:, 2].max()
+        self.parameters = [v.autopilot.parameters[OWN[self.autopilot][0]] for v in self.simulator.fleet.vehicles]
+        await self.simulator.close()
+        await asyncio.gather(flight, return_exceptions=True)
+        return result
+
+    async def _watch(self) -> None:
+        async for _ in ticks(asyncio.get_running_loop().time(), 0.05):
+            places = self.simulator.positions_enu_m
+            gaps = np.linalg.norm(places[:, None] - places[None, :], axis=2)
+            up = places[:, 2] > 0.3
+            gaps[~(up[:, None] | up[None, :])] = np.inf
+            np.fill_diagonal(gaps, np.inf)
+            self.closest_m = min(self.closest_m, float(gaps.min()))
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize(("stage", "later_s"), [("take-off", 0.5), ("approach", 0.5), ("hold", 0.5), ("hold", 4.0)])
+def test_what_was_left_in_the_air_comes_down_apart(stage: str, later_s: float, autopilot: str, tmp_path: Path) -> None:
+    crash = Crash(tmp_path, autopilot, stage, later_s)
+    result = crash.run()
+    assert result.in_order
+    assert [each.ours for each in result.vehicles] == [True] * 4
+    assert not crash.armed.any()
+    assert crash.highest_m < 0.1
+    assert crash.parameters == [OWN[autopilot][1]] * 4
+    assert crash.closest_m >= 1.45
+    assert read_kept(crash.state) == []
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("mode", ["LAND", "LOITER"])
+def test_whatever_mode_one_of_them_is_in(mode: str, autopilot: str, tmp_path: Path) -> None:
+    crash = Crash(tmp_path, autopilot, "hold", 1.0, mode)
+    assert crash.run().in_order
+    assert not crash.armed.any()
+    assert crash.parameters == [OWN[autopilot][1]] * 4
+
+
+def test_after_landing_only_parameters_are_put_back(tmp_path: Path) -> None:
+    crash = Crash(tmp_path, "px4", "land", 25.0)
+    result = crash.run()
+    assert result.in_order
+    assert all("disarmed" in each.was for each in result.vehicles)
+    assert crash.parameters == [0.0] * 4
+
+
+def run(options: RecoverOptions) -> RecoverResult:
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        return runner.run(recover(options))
+
+
+def test_nobody_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(LinkError, match="no vehicle answered within 2 s"):
+        run(RecoverOptions(wait_s=2.0, logs=tmp_path, state=tmp_path / "state"))
+
+
+def test_the_vehicles_of_a_run_that_is_alive_are_not_touched(tmp_path: Path) -> None:
+    with KeptParameters(tmp_path / "state") as mine:
+        mine.keep(Kept("main", 1, "", "udpin:127.0.0.1:14550", "PX4", {"A": 1.0}, {"A": 2.0}, "logs/mine", mine.lock))
+        result = run(RecoverOptions(logs=tmp_path, state=tmp_path / "state"))
+    assert (result.alive, result.vehicles, result.folder) == ("logs/mine", [], None)
+    assert not result.in_order
+
+
+def test_without_anything_kept_vehicles_are_only_looked_at(tmp_path: Path) -> None:
+    async def look() -> tuple[RecoverResult, float]:
+        simulator = Simulator(
+            SimulatorOptions(autopilot="px4", pads_enu_m=((0.0, 0.0),), remotes=(("127.0.0.1", GROUND_PORT),))
+        )
+        await simulator.start()
+        result = await recover(RecoverOptions(logs=tmp_path, state=tmp_path / "state"))
+        value = simulator.fleet.vehicles[0].autopilot.parameters["COM_OBL_RC_ACT"]
+        await simulator.close()
+        return result, value
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        result, value = runner.run(look())
+    assert [(each.vehicle, each.ours, each.parameters) for each in result.vehicles] == [
+        ("1", False, "not ours: left alone")
+    ]
+    assert result.in_order
+    assert value == 0.0
