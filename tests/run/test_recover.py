@@ -78,19 +78,15 @@ class Crash:
                 assert flight.director.fleet is not None
                 other.command_mode(2, flight.director.fleet.vehicles[1].profile.modes[self.mode])
             # As the system does with a process that is killed: its sockets are closed, its locks are let go
-            assert flight.director._router is not None
-            flight.director._router.close()
-            assert flight.director._setup.kept is not None
-            flight.director._setup.kept.close()
+            assert flight.director.fleet is not None
+            flight.director.fleet.router.close()
+            kept = flight.director._setup.kept  # noqa: SLF001 # a process that is killed is not asked
+            assert kept is not None
+            kept.close()
             killed.set()
 
-        options = FlyOptions(
-            (f"udpin:127.0.0.1:{GROUND_PORT}",),
-            knows_origin=True,
-            logs=self.folder,
-            state=self.state,
-            write_report=False,
-        )
+        where = (f"udpin:127.0.0.1:{GROUND_PORT}",)
+        options = FlyOptions(where, knows_origin=True, logs=self.folder, state=self.state, write_report=False)
         flight = asyncio.ensure_future(run_mission(mission, options, [_Beside(self.simulator, kill)]))
         await killed.wait()
         assert len(read_kept(self.state)) == 4
