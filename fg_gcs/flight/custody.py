@@ -109,7 +109,7 @@ class Custody:
         if heard and self.care(row) is Care.LEAVE and _travels(vehicle):
             return _around(place, self._pads_enu_m[row], max(place[2], RETURN_M) + RISES_M, UNHEARD_M)
         if heard:
-            return _around(place, place, place[2] + RISES_M, NEAR_M)
+            return _around(place, place, place[2] + RISES_M, NEAR_M)._replace(place_enu_m=_point(place))
         return self._unheard(row, vehicle, place)
 
     def _unheard(self, row: int, vehicle: Vehicle, place: Array) -> Column:
@@ -121,7 +121,8 @@ class Custody:
         away = place + on_s * velocity
         told = self._told_enu_m.get(row, place)
         radius_m = UNHEARD_M + _from_line(told[:2], place[:2], away[:2])
-        return _around(place, away, max(place[2], away[2], told[2]) + RISES_M, radius_m)
+        column = _around(place, away, max(place[2], away[2], told[2]) + RISES_M, radius_m)
+        return column._replace(place_enu_m=_point(told))
 
     def is_blocked(self, row: int) -> bool:
         """Say whether a mode leads a vehicle to its pad, and another one of ours is there."""
@@ -151,6 +152,10 @@ def _travels(vehicle: Vehicle) -> bool:
 
 def _around(start: Array, end: Array, top_m: float, radius_m: float) -> Column:
     return Column((float(start[0]), float(start[1])), (float(end[0]), float(end[1])), float(top_m), float(radius_m))
+
+
+def _point(place: Array) -> tuple[float, float, float]:
+    return float(place[0]), float(place[1]), float(place[2])
 
 
 def _from_line(point: Array, start: Array, end: Array) -> float:

@@ -21,7 +21,9 @@ from fg_gcs.wire.address import VehicleAddress, vehicles_named
 WATCH_S: Final = 0.05  # at 10 m/s half a metre of way
 CONFIRMED_S: Final = 0.3  # a course that is left for so long is left
 PARTED_S: Final = 8.0  # whoever is below a vehicle that is to land has had time enough to get away
-FORGETS_S: Final = 1.0  # time constant with which the greatest speed that vehicles were told to fly at is forgotten
+FORGETS_S: Final = (
+    4.0  # time constant of forgetting the greatest speed vehicles were told: PX4 overshoots a stop for 10 s
+)
 
 _ALL: Final = frozenset(FaultKind)
 WATCHED: Final[Mapping[str, frozenset[FaultKind]]] = MappingProxyType(

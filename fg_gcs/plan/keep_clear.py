@@ -20,12 +20,14 @@ class Column(NamedTuple):
         end_enu_m: the other end, which may be the same [m].
         top_m: the height up to which something may be [m; ENU].
         radius_m: how far from the segment it may be [m].
+        place_enu_m: where it is if it hears, or was when it was heard; None: not known [m; ENU].
     """
 
     start_enu_m: Place
     end_enu_m: Place
     top_m: float
     radius_m: float
+    place_enu_m: tuple[float, float, float] | None = None
 
 
 def clearances_m(start_m: Array, end_m: Array, column: Column, above_m: float) -> Array:
@@ -60,9 +62,18 @@ def keeps_clear(
         at_last = clearances_m(end_m, end_m, column, needed_m)
         if (on_the_way < np.minimum(needed_m, at_first) - _ROUNDING_M).any():
             return False
+        if column.place_enu_m is not None and not _keeps_off(start_m, end_m, np.array(column.place_enu_m), needed_m):
+            return False
         if not leads_on and (at_last < needed_m - _ROUNDING_M).any():
             return False
     return True
+
+
+def _keeps_off(start_m: Array, end_m: Array, place_m: Array, needed_m: float) -> bool:
+    """Say whether straight moves stay away from a place, in all directions, or lead straight away from it."""
+    on_the_way = _from_segment(place_m, start_m, end_m)
+    at_first = np.linalg.norm(start_m - place_m, axis=1)
+    return bool((on_the_way >= np.minimum(needed_m, at_first) - _ROUNDING_M).all())
 
 
 _ROUNDING_M = 1e-6
@@ -85,7 +96,7 @@ def _segments_apart(start_m: Array, end_m: Array, other_start_m: Array, other_en
 
 
 def _from_segment(point_m: Array, start_m: Array, end_m: Array) -> Array:
-    """Distances of points from segments, (..., 2) each, to (...) [m]."""
+    """Distances of points from segments, (..., D) each, to (...) [m]."""
     way = end_m - start_m
     length2 = np.maximum((way**2).sum(axis=-1), np.finfo(float).tiny)
     share = np.clip(((point_m - start_m) * way).sum(axis=-1) / length2, 0.0, 1.0)

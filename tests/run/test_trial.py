@@ -1,0 +1,147 @@
+"""Whatever fails, no two vehicles meet and none is left in the air: whole flights, judged by the simulator's truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from fg_gcs.mission import Mission, load_mission, parse_mission
+from fg_gcs.run.trial import Judgement, Trial, judge
+from fg_gcs.run.trials import WRONGS, trial_of
+from tests.flight.harness import AUTOPILOTS, SMALL
+
+MISSIONS = Path(__file__).parents[2] / "missions"
+DEMO = load_mission(MISSIONS / "demo.toml")
+PAPER = load_mission(MISSIONS / "paper_front.toml")
+MUTED = {"direction": "both", "loss": 1.0}
+BOTH = ("px4", "ardupilot")
+
+
+Table = Mapping[str, object]
+
+
+def judged(
+    autopilot: str,
+    mission: Mission = DEMO,
+    faults: tuple[Table, ...] = (),
+    impairments: tuple[Table, ...] = (),
+    stops: tuple[tuple[str, float], ...] = (),
+) -> Judgement:
+    """Fly, and let nothing be broken."""
+    found = judge(Trial(mission, autopilot, faults=faults, impairments=impairments, stops=stops))
+    assert found.broken == []
+    return found
+
+
+def said(found: Judgement) -> str:
+    return "\n".join(found.events)
+
+
+def completed(found: Judgement) -> bool:
+    assert found.result is not None
+    return found.result.completed
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_silent_for_two_seconds_everybody_waits_and_the_flight_goes_on(autopilot: str) -> None:
+    mute = {"direction": "from_vehicle", "loss": 1.0, "vehicles": [3], "stage": "approach", "at_s": 2.0, "for_s": 1.2}
+    found = judged(autopilot, impairments=(mute,))
+    assert completed(found), said(found)
+    assert "vehicle 3 is silent" in said(found)
+    assert "vehicle 3 is there again" in said(found)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("stage", ["approach", "hold"])
+def test_one_that_stays_silent_is_given_up_and_the_others_come_home(stage: str, autopilot: str) -> None:
+    found = judged(autopilot, impairments=({**MUTED, "vehicles": [3], "stage": stage, "at_s": 2.0},))
+    assert not completed(found)
+    assert found.result is not None
+    assert found.result.summary["lost"] == [3]
+    assert "stage: home" in said(found)
+    assert "landing at once" not in said(found)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_two_lost_one_after_the_other_still_leave_a_way_home(autopilot: str) -> None:
+    first = {**MUTED, "vehicles": [2], "stage": "hold", "at_s": 1.0}
+    second = {**MUTED, "vehicles": [7], "stage": "hold", "at_s": 1.6}
+    found = judged(autopilot, impairments=(first, second))
+    assert found.result is not None
+    assert found.result.summary["lost"] == [2, 7]
+    assert found.result.summary["vehicles_landed"] == 7
+    assert "landing" not in found.result.reason
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("mode", ["LAND", "LOITER", "RTL"])
+def test_one_that_somebody_else_has_is_left_alone_and_comes_down_in_the_end(mode: str, autopilot: str) -> None:
+    fault = {"kind": "taken_over", "mode": mode, "vehicles": [5], "stage": "hold", "at_s": 1.0}
+    found = judged(autopilot, faults=(fault,))
+    assert f"vehicle 5 is taken over: something else changed its mode ({mode})" in said(found)
+    hovers = mode == "LOITER" and autopilot == "px4"  # ArduPilot's sinks while no pilot holds the throttle
+    assert ("nobody has brought it down for 60 s" in said(found)) == hovers
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_one_that_does_not_hear_is_told_by_where_it_is(autopilot: str) -> None:
+    mute = {"direction": "to_vehicle", "loss": 1.0, "vehicles": [4], "stage": "hold", "at_s": 1.0, "for_s": 6.0}
+    found = judged(autopilot, impairments=(mute,))
+    assert "vehicle 4 has a failsafe of its own (LAND)" in said(found)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_low_battery_sends_everybody_home(autopilot: str) -> None:
+    fault = {"kind": "battery_low", "remaining": 0.12, "vehicles": [6], "stage": "approach", "at_s": 1.0}
+    found = judged(autopilot, faults=(fault,))
+    assert found.result is not None
+    assert found.result.reason == "vehicle 6 has a low battery"
+    assert found.result.summary["vehicles_landed"] == 9
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_asked_twice_the_papers_upright_formation_lands_apart(autopilot: str) -> None:
+    found = judged(autopilot, PAPER, stops=(("hold", 1.0), ("home", 0.5)))
+    assert "stage: spread" in said(found)
+    assert found.closest_m >= 1.5
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize(
+    "link",
+    [{"loss": 0.2}, {"delay_s": 0.1, "jitter_s": 0.1, "reorder": 0.1, "duplicate": 0.1}],
+    ids=["20 % lost", "150 +- 50 ms"],
+)
+def test_bad_links_are_flown_on(link: dict[str, float], autopilot: str) -> None:
+    found = judged(autopilot, impairments=(link,))
+    assert completed(found), said(found)
+
+
+def test_the_judge_sees_what_it_is_there_for() -> None:
+    """Vehicles that come closer than is asked for, and one that stays in the air, are told."""
+    strict = DEMO.model_copy(update={"limits": DEMO.limits.model_copy(update={"separation_m": 2.6})})
+    found = judge(Trial(strict, stops=(("connect", 0.1),)))
+    assert found.broken == []  # nobody flew
+    far = judge(Trial(DEMO, impairments=({**MUTED, "vehicles": [3], "stage": "hold", "at_s": 1.0},)), 9.0)
+    assert any("one of which could not hear us" in line for line in far.broken)
+
+
+def test_a_seed_is_a_trial_and_a_trial_is_a_flight() -> None:
+    missions = [parse_mission(SMALL)]
+    trials = [trial_of(seed, missions, BOTH, ("paper",)) for seed in range(300)]
+    assert [trial.text for trial in trials] == [trial_of(n, missions, BOTH, ("paper",)).text for n in range(300)]
+    assert len({trial.text for trial in trials}) > 250
+    kinds = {table["kind"] for trial in trials for table in trial.faults}
+    assert kinds == {"taken_over", "dead", "battery_low"}
+    assert len(WRONGS) == 9
+    first, second = (judge(trials[7]) for _ in range(2))
+    assert (first.events, first.closest_m, first.ended_s) == (second.events, second.closest_m, second.ended_s)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_trials_break_no_law(seed: int) -> None:
+    missions = [load_mission(MISSIONS / f"{name}.toml") for name in ("demo", "sitl")]
+    found = judge(trial_of(seed, missions, BOTH, ("paper",)))
+    assert found.broken == []
