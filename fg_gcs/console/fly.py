@@ -88,7 +88,7 @@ def _unhurried(stack: ExitStack) -> TextIO:
 
 
 class _Signals(Observer):
-    """Every way to be asked to stop leads home; asked again, everything lands on the spot."""
+    """Every way to be asked to stop leads home; asked again, all land apart, then at once."""
 
     def started(self, director: Director) -> None:
         """Listen to the signals that ask a program to end."""

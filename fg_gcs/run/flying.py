@@ -134,7 +134,7 @@ class RunResult:
 async def fly(mission: Mission, options: FlyOptions | None = None, observers: Sequence[Observer] = ()) -> RunResult:
     """Fly a mission on the running loop, whatever its time is: real, scaled or virtual.
 
-    Cancelling it is :meth:`Director.interrupt`: the first time home, the second time down on the spot; then it ends.
+    Cancelling it is :meth:`Director.interrupt`: first home, then a verified landing, then landing at once.
 
     Args:
         mission: what to fly, see :func:`fg_gcs.mission.load_mission`.

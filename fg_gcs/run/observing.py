@@ -26,7 +26,7 @@ class Observer:
     """
 
     def started(self, director: Director) -> None:
-        """Take the flight's handle: :meth:`Director.interrupt` stops it, the first time home, then on the spot."""
+        """Take the flight's handle: :meth:`Director.interrupt` stops it: first home, then by a verified landing."""
 
     def event(self, event: RunEvent) -> None:
         """Take what has just happened."""

@@ -15,8 +15,10 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.flight.director import MOST_STOPS, Director
 from fg_gcs.flight.snapshot import RunEvent
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
@@ -150,7 +152,7 @@ class _Judge(Observer):
             self._pairs(distances, concerned, now_s, stage)
         self._failsafes(high & armed, now_s)
 
-    def _pairs(self, distances: Any, concerned: Any, now_s: float, stage: str) -> None:  # noqa: ANN401 - arrays
+    def _pairs(self, distances: Array, concerned: NDArray[np.bool_], now_s: float, stage: str) -> None:
         heard = distances[concerned & ~self._deaf_pairs]
         deaf = distances[concerned & self._deaf_pairs]
         self.found.closest_m = min(self.found.closest_m, float(heard.min(initial=np.inf)))
@@ -160,7 +162,7 @@ class _Judge(Observer):
             if distance_m < self._worst.get(pair, (np.inf, 0.0, ""))[0]:
                 self._worst[pair] = distance_m, now_s, stage
 
-    def _failsafes(self, flying: Any, now_s: float) -> None:  # noqa: ANN401 - an array
+    def _failsafes(self, flying: NDArray[np.bool_], now_s: float) -> None:
         name, wanted = FAILSAFES[self._trial.autopilot]
         for row in np.flatnonzero(flying).tolist():
             if self._simulator.fleet.vehicles[row].autopilot.parameters[name] != wanted:

@@ -139,3 +139,24 @@ def test_a_mission_that_the_real_pads_make_impossible_arms_nobody(tmp_path: Path
 
     with pytest.raises(PlanError, match="further apart"):
         fly(tmp_path, "px4", never_armed, tight)
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_parameter_that_somebody_changes_back_in_flight_is_set_again(autopilot: str, tmp_path: Path) -> None:
+    name, wanted = {"px4": ("COM_OBL_RC_ACT", 4.0), "ardupilot": ("FS_GCS_ENABLE", 5.0)}[autopilot]
+    mended: list[float] = []
+
+    async def change(flight: Flight) -> None:
+        await flight.reaches("approach")
+        parameters = flight.simulator.fleet.vehicles[1].autopilot.parameters
+        parameters.write(name, 0.0, 9 if autopilot == "ardupilot" else 6)
+        began_s = asyncio.get_running_loop().time()
+        while parameters[name] != wanted:
+            await asyncio.sleep(0.05)
+        mended.append(asyncio.get_running_loop().time() - began_s)
+
+    flight = fly(tmp_path, autopilot, change)
+    assert flight.result is not None
+    assert flight.result.completed, flight.result.reason
+    assert mended[0] < 5.0
+    assert f"{name} of vehicle 2 has changed to 0; it is set again" in flight.events
