@@ -34,7 +34,7 @@ BEGIN_FRAME, END_FRAME = (
     "\x1b[?2026h",
     "\x1b[?2026l",
 )  # terminals show what comes between at once, or know nothing of it
-HINT = "Ctrl-C: fly home and land; again: land apart from each other, here"
+HINT = "Ctrl-C: fly home; again: land apart; again: now"
 SHOWN = {  # kinds of events for people, with their colours; the rest is for the log
     "simulator": "dim",
     "open": "dim",
