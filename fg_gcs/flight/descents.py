@@ -146,8 +146,9 @@ class Descents:
 
     def _request(self, vehicle: Vehicle, descent: _Descent) -> Request | None:
         """Return what to ask a vehicle for now."""
-        low = (vehicle.height_m or 0.0) < ON_GROUND_M and not vehicle.airborne
-        if low and "disarm" not in descent.tried:
+        low = (vehicle.height_m or 0.0) < ON_GROUND_M
+        stands = not vehicle.airborne or self._time() - descent.began_s > descent.patience_s
+        if low and stands and ("disarm" not in descent.tried or self._time() - descent.began_s > descent.patience_s):
             return disarm()
         landing = vehicle.armed and vehicle.mode == vehicle.profile.land_mode == vehicle.commanded_mode
         return None if landing and self._time() - vehicle.heard_at_s < AGAIN_S else land()

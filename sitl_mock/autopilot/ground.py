@@ -55,6 +55,9 @@ class GroundWatch:
         takeoff = vehicle.behaviour is Behaviour.TAKEOFF
         if not self._asked_to_climb() or not (takeoff or profile.setpoints_lift_off):
             vehicle.climb_since_s = None
+            vehicle.landed = Landed.ON_GROUND  # whatever take-off had begun
+            if vehicle.behaviour is Behaviour.LAND and vehicle.landed_at_s is None:
+                vehicle.landed_at_s = vehicle.now_s
             return
         if vehicle.climb_since_s is None:
             vehicle.climb_since_s = max(vehicle.now_s, vehicle.armed_at_s + profile.ground.spool_s)

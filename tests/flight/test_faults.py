@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fg_gcs.errors import LinkError, PlanError
+from fg_gcs.link.clock import ticks
 from tests.flight.harness import AUTOPILOTS, GROUND_PORT, SMALL, Flight, OtherStation, fly, mission_of
 
 
@@ -151,8 +152,9 @@ def test_a_parameter_that_somebody_changes_back_in_flight_is_set_again(autopilot
         parameters = flight.simulator.fleet.vehicles[1].autopilot.parameters
         parameters.write(name, 0.0, 9 if autopilot == "ardupilot" else 6)
         began_s = asyncio.get_running_loop().time()
-        while parameters[name] != wanted:
-            await asyncio.sleep(0.05)
+        async for _ in ticks(began_s, 0.05):
+            if parameters[name] == wanted:
+                break
         mended.append(asyncio.get_running_loop().time() - began_s)
 
     flight = fly(tmp_path, autopilot, change)

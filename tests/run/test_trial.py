@@ -145,3 +145,10 @@ def test_random_trials_break_no_law(seed: int) -> None:
     missions = [load_mission(MISSIONS / f"{name}.toml") for name in ("demo", "sitl")]
     found = judge(trial_of(seed, missions, BOTH, ("paper",)))
     assert found.broken == []
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("after_s", [0.9, 2.1, 3.0, 4.6, 5.4])
+def test_stopped_while_arming_and_taking_off_everybody_is_down_at_once(after_s: float, autopilot: str) -> None:
+    found = judged(autopilot, PAPER, stops=(("prepare", after_s),))
+    assert found.ended_s < 0.3 + after_s + 25.0
