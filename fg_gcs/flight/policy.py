@@ -129,8 +129,8 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
         ),
         FaultKind.LOST: Row(
             "a vehicle stays silent",
-            "no message for its own time-out (PX4 `COM_OF_LOSS_T`, ArduPilot `GUID_TIMEOUT`) and 0.5 s",
-            "PX4 1.5 s, ArduPilot 3.5 s with their defaults",
+            "no message for its own time-out (PX4 `COM_OF_LOSS_T`, ArduPilot `GUID_TIMEOUT`) and 0.5 s, and for 2.2 s",
+            "PX4 2.2 s, ArduPilot 3.5 s with their defaults",
             Rung.HOME,
             Care.LAND,
             "where it was last, and the region that is kept clear",

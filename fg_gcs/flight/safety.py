@@ -22,6 +22,7 @@ from fg_gcs.wire.vehicle import Vehicle
 FENCE_SLACK_M: Final = 0.5  # plans may touch the fence; a vehicle's tracking error is not yet a breach
 STALE_S: Final = 0.5  # positions older than this say nothing about the distance of a pair
 SPARE_S: Final = 0.5  # on top of a vehicle's own time-out, before it is given up
+OUTAGE_S: Final = 2.2  # a link that is out for two seconds is waited for, whatever the vehicle's own time-out is
 LAG_S: Final = 0.8  # of the way that a vehicle flies in so much time it may be behind: PX4 with its default drag
 FAILSAFE_WORDS: Final = ("failsafe",)  # in the texts in which autopilots tell of their own
 FAILSAFE_S: Final = 3.0  # such a text tells of a mode that changed no longer before
@@ -119,7 +120,7 @@ def _of_one(picture: Picture, row: int, bounds: Bounds) -> Iterator[Finding]:
     address = (vehicle.address,)
     silent_s = now_s - vehicle.heard_at_s
     delay_s = delay_of(vehicle)
-    given_up_s = max(vehicle.stream_timeout_s, bounds.silent_s) + SPARE_S
+    given_up_s = max(vehicle.stream_timeout_s + SPARE_S, OUTAGE_S)
     if silent_s > given_up_s + delay_s:
         yield Finding(FaultKind.LOST, address)
         return

@@ -46,7 +46,7 @@ def completed(found: Judgement) -> bool:
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_silent_for_two_seconds_everybody_waits_and_the_flight_goes_on(autopilot: str) -> None:
-    mute = {"direction": "from_vehicle", "loss": 1.0, "vehicles": [3], "stage": "approach", "at_s": 2.0, "for_s": 1.2}
+    mute = {"direction": "from_vehicle", "loss": 1.0, "vehicles": [3], "stage": "approach", "at_s": 2.0, "for_s": 2.0}
     found = judged(autopilot, impairments=(mute,))
     assert completed(found), said(found)
     assert "vehicle 3 is silent" in said(found)
