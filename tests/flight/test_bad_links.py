@@ -16,7 +16,7 @@ FAILSAFES = {"px4": ("COM_OBL_RC_ACT", 4.0), "ardupilot": ("FS_GCS_ENABLE", 5.0)
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 @pytest.mark.parametrize(
     "judge",
-    [lossy(1, 0.2), lossy(2, 0.0, 0.1, 0.2, double=0.1), lossy(5, 0.3, 0.1, 0.2)],
+    [lossy(1, 0.2), lossy(2, 0.0, 0.1, 0.2, double=0.1), lossy(3, 0.3, 0.1, 0.2)],
     ids=["20 % lost", "150±50 ms, doubled", "30 % lost, 150±50 ms"],
 )
 def test_a_flight_on_a_bad_link_completes(judge: Judge, autopilot: str, tmp_path: Path) -> None:
