@@ -9,6 +9,7 @@ from fg_gcs.link.router import Direction
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.codec import Frame
+from fg_gcs.wire.framing import Frames
 from fg_gcs.wire.messages import LOCAL_POSITION_NED
 from fg_gcs.wire.vehicle import Vehicle
 
@@ -26,7 +27,7 @@ class LinkRecorder:
         self._recorder = recorder
         self._samples: dict[VehicleAddress, int] = {}  # written down so far
 
-    def tap(self, _direction: Direction, frames: Sequence[bytes], now_s: float) -> None:
+    def tap(self, _direction: Direction, frames: Sequence[bytes] | Frames, now_s: float) -> None:
         """Write down frames of either direction."""
         self._recorder.frames(frames, now_s)
 

@@ -45,7 +45,7 @@ class _Going(NamedTuple):
 
     routes: Routes
     setpoints: SetpointRound
-    table: NDArray[np.void]  # rows of the record with the vehicles' names in them
+    table: NDArray[np.void]  # rows of the record with the vehicles' names in them, filled in anew each round
 
 
 class Streamer:
@@ -162,7 +162,7 @@ class Streamer:
         going = self._going_to(rows)
         self._fleet.router.send_all(going.routes, going.setpoints.pack(numbers))
         self._rounds_s.append(asyncio.get_running_loop().time())
-        self._record(going.table.copy(), enu, now_s)
+        self._record(going.table, enu, now_s)
 
     def _moved_by(self, motion: Motion) -> _Moved:
         """Return what of a motion's vehicles is the same in every round."""

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, in_rows, open_wire
+from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
 from fg_gcs.link.peers import MOST_WAITING, Peer, Peers
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import profile_of
 from fg_gcs.wire.codec import GCS_SYSTEM, Frame, Message, is_known
-from fg_gcs.wire.framing import Frames, LaidOut, Sender, laid_out
+from fg_gcs.wire.framing import Frames, Sender, laid_out, same_for_all
 from fg_gcs.wire.messages import HEARTBEAT
 from fg_gcs.wire.timing import timesync
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
@@ -33,7 +33,7 @@ SHUT_S: Final = 10.0  # strangers are shut out by the system for so long, then i
 OPEN: Final = 4.0  # a share of heartbeats that says that all else is let in as well; a quarter of it is all of them
 STALE_S: Final = 0.02
 LEAST_SHARE: Final = 1.0 / 64.0  # of strangers' heartbeats that are let in at least
-_TIMESYNC_PEERS: Final = 256  # that are asked for their time in every period; more take turns
+_TIMESYNC_PEERS: Final = 128  # that are asked for their time in every period; more take turns
 _AUTOPILOT: Final = 1  # component id
 _MOST_AT_ONCE: Final = 50  # heartbeats sent, or vehicles looked at, before others have their turn: half a millisecond
 
@@ -47,7 +47,7 @@ class Direction(Enum):
     OUT = "out"
 
 
-Tap = Callable[[Direction, Sequence[bytes], float], None]
+Tap = Callable[[Direction, Sequence[bytes] | Frames, float], None]  # frames one by one, or in the rows of an array
 OnFrame = Callable[[Vehicle, Frame, float], None]
 
 
@@ -117,18 +117,18 @@ class Routes:
     """The ways to some vehicles, each to where its vehicle was heard.
 
     Attributes:
-        addresses: Of the vehicles.
+        peers: Where they lead.
         senders: What numbers the frames to each of them; for `fg_gcs.wire.setpoint.SetpointRound`.
         rounds: For each wire the vehicles' places among the addresses (None: all of them), and what sends to them.
     """
 
-    addresses: tuple[VehicleAddress, ...]
+    peers: Sequence[Peer]
     senders: list[Sender]
     rounds: Sequence[tuple[NDArray[np.int_] | None, Callable[[Frames], None]]]
 
     @classmethod
-    def of(cls, addresses: tuple[VehicleAddress, ...], peers: Sequence[Peer]) -> Self:
-        """Return the ways to vehicles that are heard from these peers."""
+    def of(cls, peers: Sequence[Peer]) -> Self:
+        """Return the ways to these peers."""
         by_wire: dict[Wire, list[int]] = {}
         for place, peer in enumerate(peers):
             by_wire.setdefault(peer.wire, []).append(place)
@@ -136,7 +136,19 @@ class Routes:
             (None if len(by_wire) == 1 else np.array(places), wire.round_to([peers[place].address for place in places]))
             for wire, places in by_wire.items()
         ]
-        return cls(addresses, [peer.sender for peer in peers], rounds)
+        return cls(peers, [peer.sender for peer in peers], rounds)
+
+
+class _Called(NamedTuple):
+    """Who is called all the time.
+
+    Attributes:
+        peers: Those that vehicles speak from.
+        batches: The ways to them, so many together that nothing else waits long.
+    """
+
+    peers: tuple[Peer, ...]
+    batches: Sequence[Routes]
 
 
 class Router:
@@ -159,7 +171,8 @@ class Router:
         self._known = self._peers.known
         self._unfinished: deque[Peer] = deque()  # those of whose bytes some wait to be read on
         self._routes: dict[VehicleAddress, Peer] = {}
-        self._latest: Routes | None = None  # of the last round, while no vehicle has moved
+        # Of the last round, while no vehicle has moved: the vehicles, and the ways to them
+        self._latest: tuple[tuple[VehicleAddress, ...], Routes] | None = None
         self._clashing: dict[VehicleAddress, _Clash] = {}
         self._told: set[VehicleAddress] = set()  # those of which people know that there are two
         self._frames_out = self._unroutable = self._clashes = self._refused = 0
@@ -228,9 +241,9 @@ class Router:
         Raises:
             KeyError: One of them was never heard.
         """
-        if self._latest is None or self._latest.addresses != addresses:
-            self._latest = Routes.of(addresses, [self._routes[address] for address in addresses])
-        return self._latest
+        if self._latest is None or self._latest[0] != addresses:
+            self._latest = addresses, Routes.of([self._routes[address] for address in addresses])
+        return self._latest[1]
 
     def endpoint_of(self, address: VehicleAddress) -> str:
         """Return where a vehicle is heard, as people write it; empty if it was never heard."""
@@ -248,7 +261,7 @@ class Router:
             send(frames if places is None else frames[places])
         self._frames_out += len(frames)
         if self._tap is not None and len(frames):
-            self._tap(Direction.OUT, in_rows(frames), self._time())
+            self._tap(Direction.OUT, frames, self._time())
 
     def send_message(self, address: VehicleAddress, message: Message) -> None:
         """Pack a message and send it to one vehicle."""
@@ -268,17 +281,19 @@ class Router:
             period_s: How often [s].
         """
         heartbeat = laid_out(commands.heartbeat())
+        called = _Called((), ())
         async for k, late_s in ticks(self._time(), period_s):
             self.turned_s = self._time()
-            spoken = list(dict.fromkeys(self._routes.values()))
+            spoken = tuple(dict.fromkeys(self._routes.values()))
+            if spoken != called.peers:
+                called = _Called(spoken, [Routes.of(some) for some in _batches(spoken)])
             shares = 1 + len(spoken) // _TIMESYNC_PEERS
-            for some in _batches(spoken[k % shares :: shares]):
-                self._ask_for_time(some)
+            for routes in called.batches[k % shares :: shares]:
+                self._ask_for_time(routes)
                 await asyncio.sleep(0.0)
-            called = [peer for peer in self._known.values() if peer.wire.remote is not None]
-            for some in _batches(list(dict.fromkeys([*spoken, *called]))):
-                for peer in some:
-                    self._send(peer, peer.sender.finish(*heartbeat))
+            silent = [peer for peer in self._known.values() if peer.wire.remote is not None and not peer.vehicles]
+            for routes in (*called.batches, *(Routes.of(some) for some in _batches(silent))):
+                self.send_all(routes, same_for_all(heartbeat, routes.senders))
                 await asyncio.sleep(0.0)
             if late_s > LOST_AFTER_S / 2:  # this program stood still: what vehicles said meanwhile has yet to be read
                 continue
@@ -305,12 +320,11 @@ class Router:
         if self._tap is not None:
             self._tap(Direction.OUT, (data,), self._time())
 
-    def _ask_for_time(self, peers: Sequence[Peer]) -> None:
+    def _ask_for_time(self, routes: Routes) -> None:
         now_s = self._time()
         said_ns = round(now_s * 1e9)
-        request: LaidOut = laid_out(timesync(said_ns))
-        for peer in peers:
-            self._send(peer, peer.sender.finish(*request))
+        self.send_all(routes, same_for_all(laid_out(timesync(said_ns)), routes.senders))
+        for peer in routes.peers:
             for vehicle in peer.vehicles.values():
                 vehicle.timing.asked(said_ns, now_s)
 

@@ -34,6 +34,21 @@ def id_bytes(message_id: int) -> bytes:
     return message_id.to_bytes(3, "little")
 
 
+class Counts:
+    """The next sequence numbers of links that often send together, side by side: one pass of an array takes them all.
+
+    Attributes:
+        numbers: 0 to 255, one a link.
+        is_whole: All links that began here still count here.
+    """
+
+    __slots__ = ("is_whole", "numbers")
+
+    def __init__(self, count: int) -> None:
+        self.numbers = bytearray(count)
+        self.is_whole = True
+
+
 class Sender:
     """Numbers and finishes outgoing MAVLink 2 frames for one link.
 
@@ -45,13 +60,20 @@ class Sender:
     def __init__(self, system_id: int = GCS_SYSTEM, component_id: int = GCS_COMPONENT) -> None:
         self.system_id = system_id
         self.component_id = component_id
-        self._sequence = 0  # 0 to 255, around and around: peers count losses by its gaps
+        self._counts, self._place = Counts(1), 0  # around and around: peers count losses by the gaps
 
     def next_sequence(self) -> int:
         """Return the sequence number of the frame that leaves next, and count it."""
-        sequence = self._sequence
-        self._sequence = (sequence + 1) & 0xFF
+        numbers, place = self._counts.numbers, self._place
+        sequence = numbers[place]
+        numbers[place] = (sequence + 1) & 0xFF
         return sequence
+
+    def count_in(self, counts: Counts, place: int) -> None:
+        """Go on counting at a place of a table."""
+        counts.numbers[place] = self._counts.numbers[self._place]
+        self._counts.is_whole = False
+        self._counts, self._place = counts, place
 
     def finish(self, message_id: bytes, crc_extra: bytes, payload: bytes) -> bytes:
         """Return the whole frame around a payload, with the next sequence number.
@@ -106,7 +128,8 @@ class Round:
     """
 
     def __init__(self, payloads: Frames, senders: Sequence[Sender], message_id: bytes, crc_extra: bytes) -> None:
-        self._numbers = [sender.next_sequence for sender in senders]
+        self._senders = senders
+        self._counts: Counts | None = None  # once they count side by side
         self._frames = made = payloads.copy()
         made[:, 0] = _MAGIC[0]
         made[:, 1] = made.shape[1] - HEADER_BYTES - CHECKSUM_BYTES
@@ -122,8 +145,32 @@ class Round:
 
     def finish(self, frames: Frames) -> None:
         """Finish frames in place: what `Sender.finish` does, in one pass."""
-        frames[:, 4] = [number() for number in self._numbers]
+        frames[:, 4] = self._numbers()
         data, size = frames.tobytes(), frames.shape[1]
         covered = size - CHECKSUM_BYTES
         checksums = [_checksum(data[start : start + covered]) for start in range(1, len(data), size)]
         frames[:, -2:] = np.array(checksums, "<u2").view(np.uint8).reshape(-1, CHECKSUM_BYTES)
+
+    def _numbers(self) -> NDArray[np.uint8] | list[int]:
+        """Return the next sequence numbers, and count them."""
+        if self._counts is None or not self._counts.is_whole:
+            if len(set(map(id, self._senders))) < len(self._senders):
+                return [sender.next_sequence() for sender in self._senders]
+            self._counts = Counts(len(self._senders))
+            for place, sender in enumerate(self._senders):
+                sender.count_in(self._counts, place)
+        counting = np.frombuffer(self._counts.numbers, np.uint8)
+        numbers = counting.copy()
+        counting += 1  # and around
+        return numbers
+
+
+def same_for_all(message: LaidOut, senders: Sequence[Sender]) -> Frames:
+    """Return the frames of one message to many links, each numbered by its link's sender, shape (V, size)."""
+    size = HEADER_BYTES + len(message.payload) + CHECKSUM_BYTES
+    payloads = np.zeros((len(senders), size), np.uint8)
+    payloads[:, HEADER_BYTES:-CHECKSUM_BYTES] = np.frombuffer(message.payload, np.uint8)
+    together = Round(payloads, senders, message.message_id, message.crc_extra)
+    frames = together.frames()
+    together.finish(frames)
+    return frames

@@ -68,17 +68,20 @@ class SequenceCounter:
 
     def roll(self, now_s: float) -> None:
         """Let the window go on: call it about every `STEP_S`."""
-        window, total = self._window, self._total
-        latest = _Counts(now_s, self._received, self._expected, self._conflicts, self._restarts)
+        window, latest = self._window, _Counts(now_s, self._received, self._expected, self._conflicts, self._restarts)
         self._received = self._expected = 0.0
         self._conflicts = self._restarts = 0.0
         window.append(latest)
-        total = _Counts(now_s, *(both + one for both, one in zip(total[1:], latest[1:], strict=True)))
+        _, received, expected, conflicts, restarts = self._total
+        received, expected = received + latest.received, expected + latest.expected
+        conflicts, restarts = conflicts + latest.conflicts, restarts + latest.restarts
         while window[0].at_s < now_s - WINDOW_S:
-            total = _Counts(now_s, *(both - one for both, one in zip(total[1:], window.popleft()[1:], strict=True)))
-        self._total = total
-        if total.received > 1.0 and latest.received:
-            self._interval_s = min(WINDOW_S, len(window) * STEP_S) / total.received
+            gone = window.popleft()
+            received, expected = received - gone.received, expected - gone.expected
+            conflicts, restarts = conflicts - gone.conflicts, restarts - gone.restarts
+        self._total = _Counts(now_s, received, expected, conflicts, restarts)
+        if received > 1.0 and latest.received:
+            self._interval_s = min(WINDOW_S, len(window) * STEP_S) / received
             self._gap_s = min(max(LOST_TRACK * self._interval_s, LEAST_GAP_S), MOST_GAP_S)
 
     @property

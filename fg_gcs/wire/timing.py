@@ -225,8 +225,9 @@ class LinkTiming:
 
     def roll(self, now_s: float) -> None:
         """Let windows go on: call it about twice a second."""
-        for said_ns in [said_ns for said_ns, sent_s in self._asked.items() if now_s - sent_s > ANSWER_S]:
-            del self._asked[said_ns]
+        asked = self._asked  # the earliest first
+        while asked and now_s - asked[first := next(iter(asked))] > ANSWER_S:
+            del asked[first]
             self._outcomes.append(False)
         self.sequence.roll(now_s)
         if now_s > self._rolled_s:

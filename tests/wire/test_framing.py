@@ -2,12 +2,16 @@ import inspect
 import random
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire import commands
 from fg_gcs.wire.codec import Codec, Message
-from fg_gcs.wire.framing import Sender
+from fg_gcs.wire.framing import Sender, laid_out, same_for_all
+from fg_gcs.wire.setpoint import NUMBERS, SetpointRound
 
 
 def number(draw: random.Random, kind: str) -> int | float:
@@ -67,3 +71,20 @@ def test_a_field_that_cannot_hold_its_number_uses_no_sequence_number() -> None:
 def test_what_is_finished_is_read() -> None:
     (message,) = Codec().receive(Sender(3, 1).pack(commands.heartbeat()))
     assert (message.get_type(), message.get_srcSystem(), message.get_srcComponent()) == ("HEARTBEAT", 3, 1)
+
+
+@given(st.lists(st.lists(st.integers(0, 5), min_size=1, max_size=6), min_size=1, max_size=40))
+def test_every_link_numbers_its_frames_one_by_one_whoever_sends_together(rounds: list[list[int]]) -> None:
+    senders = [Sender() for _ in range(6)]
+    heartbeat = laid_out(commands.heartbeat())
+    together = SetpointRound(range(1, 7), senders)
+    sent: list[list[int]] = [[] for _ in senders]
+    for links in rounds:
+        for link, frame in zip(links, same_for_all(heartbeat, [senders[link] for link in links]), strict=True):
+            (heard,) = Codec().receive(bytes(frame))
+            assert (heard.get_type(), heard.get_srcSystem()) == ("HEARTBEAT", 255)
+            sent[link].append(heard.get_seq())
+        sent[links[0]].append(senders[links[0]].pack(commands.heartbeat())[4])
+        for link, frame in enumerate(together.pack(np.zeros((6, NUMBERS)))):
+            sent[link].append(frame[4])
+    assert all(numbers == [count % 256 for count in range(len(numbers))] for numbers in sent)

@@ -194,8 +194,8 @@ class Recorder:
         """Return the Unix time of a reading of the clock [s]."""
         return self._epoch_s + now_s - self._start_s
 
-    def frames(self, frames: Sequence[bytes], now_s: float) -> None:
-        """Log whole MAVLink frames of either direction that passed at one time."""
+    def frames(self, frames: Sequence[bytes] | NDArray[np.uint8], now_s: float) -> None:
+        """Log whole MAVLink frames of either direction that passed at one time, see `stamped`."""
         self._now_s = now_s - self._start_s
         try:
             self._frames.add(stamped(frames, self._epoch_s + self._now_s), self._now_s)
