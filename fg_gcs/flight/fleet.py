@@ -98,6 +98,24 @@ class Fleet:
         self.frames = tuple(LocalFrame((east, north, up)) for east, north, up in places)
         self.origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
 
+    def move_origin(self, row: int, by_enu_m: Array) -> None:
+        """Join a vehicle's own frame, which has moved in flight, to the mission's anew; its ground stays where it is.
+
+        Args:
+            row: of the vehicle.
+            by_enu_m: by how much it has moved, shape (3,) [m; ENU].
+        """
+        origins: Array = self.origins_enu_m.copy()  # another array: whoever keeps the old one sees that it is old
+        origins[row] += by_enu_m
+        self.origins_enu_m = origins
+        frames = list(self.frames)
+        frames[row] = LocalFrame((float(origins[row, 0]), float(origins[row, 1]), float(origins[row, 2])))
+        self.frames = tuple(frames)
+        state = self.states[row]
+        north, east, down = swap_ned_enu(np.asarray(by_enu_m)).tolist()
+        ground = state.ground_north_m - north, state.ground_east_m - east, state.ground_down_m - down
+        self.states.set_ground(row, *ground)
+
     def located(self, now_s: float) -> Located:
         """Return where all vehicles are at one instant of the loop's time [s], with age and uncertainty."""
         return located(self.states, self.origins_enu_m, now_s)

@@ -78,6 +78,7 @@ class FaultKind(Enum):
     DISARMED = "disarmed"
     SEPARATION = "separation"
     FENCE = "fence"
+    ORIGIN = "origin"
     BATTERY = "battery"
     PARAMETER = "parameter"
     REFUSED = "refused"
@@ -196,6 +197,13 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
             "0.1 s and the link's delay",
             Rung.HOME,
             data="by how much",
+        ),
+        FaultKind.ORIGIN: Row(
+            "a vehicle's local frame moves in flight",
+            "positions that jump by 0.6 m more than velocities say; one that creeps is not noticed",
+            "0.1 s and the link's delay",
+            Rung.HOME,
+            data="by how much; the frame is joined to the mission's anew at once, so that nobody is sent elsewhere",
         ),
         FaultKind.BATTERY: Row(
             "a battery gets low",

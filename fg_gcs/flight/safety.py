@@ -38,6 +38,7 @@ _ONE: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.OWN_FAILSAFE: "has a failsafe of its own",
         FaultKind.DISARMED: "disarmed in flight",
         FaultKind.FENCE: "is outside the fence",
+        FaultKind.ORIGIN: "has a local frame that moves: it has gone",
         FaultKind.BATTERY: "has a low battery",
     }
 )
@@ -52,6 +53,7 @@ _MANY: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.OWN_FAILSAFE: "have failsafes of their own",
         FaultKind.DISARMED: "disarmed in flight",
         FaultKind.FENCE: "are outside the fence",
+        FaultKind.ORIGIN: "have local frames that move: they have gone",
         FaultKind.BATTERY: "have low batteries",
     }
 )
@@ -87,7 +89,7 @@ class Finding(NamedTuple):
     kind: FaultKind
     vehicles: tuple[VehicleAddress, ...]
     detail: str = ""  # what is told of it beside its kind
-    size: float = 0.0  # distance outside the fence, of the pair, or from the course [m]; share left
+    size: float = 0.0  # distance outside the fence, of the pair, from the course, or of a frame's way [m]; share left
 
 
 def findings(picture: Picture, rules: Rules, bounds: Bounds) -> list[Finding]:
@@ -209,6 +211,8 @@ def _text(found: Sequence[Finding], rules: Rules) -> str:
     match kind:
         case FaultKind.TAKEN | FaultKind.OWN_FAILSAFE:
             return f"{text} ({', '.join(sorted({one.detail for one in found}))})"
+        case FaultKind.ORIGIN:
+            return f"{text} {'' if len(found) == 1 else 'up to '}{max(one.size for one in found):.1f} m"
         case FaultKind.FENCE | FaultKind.OFF_COURSE:
             return f"{text} by {'' if len(found) == 1 else 'up to '}{max(one.size for one in found):.1f} m"
     return text

@@ -36,6 +36,7 @@ class _Moved(NamedTuple):
     """The vehicles of a motion."""
 
     given: Sequence[int]  # their rows as the motion has them
+    origins_enu_m: Array  # of the fleet
     rows: NDArray[np.int_]
     origins_ned_m: Array  # of their own frames, shape (V, 3)
 
@@ -166,10 +167,11 @@ class Streamer:
 
     def _moved_by(self, motion: Motion) -> _Moved:
         """Return what of a motion's vehicles is the same in every round."""
-        if self._moved is None or motion.rows is not self._moved.given:
+        known, origins = self._moved, self._fleet.origins_enu_m
+        if known is None or motion.rows is not known.given or origins is not known.origins_enu_m:
             rows = np.asarray(motion.rows)
-            self._moved = _Moved(motion.rows, rows, swap_ned_enu(self._fleet.origins_enu_m[rows]))
-        return self._moved
+            known = self._moved = _Moved(motion.rows, origins, rows, swap_ned_enu(origins[rows]))
+        return known
 
     def _going_to(self, rows: NDArray[np.int_]) -> _Going:
         """Return the ways to the vehicles at some rows, and what is the same in every round that goes there."""

@@ -12,6 +12,7 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.descents import Descents
+from fg_gcs.flight.origins import OriginWatch
 from fg_gcs.flight.policy import ROWS, Care, Fault, FaultKind
 from fg_gcs.flight.safety import SPARE_S, Bounds, Finding, Picture, faults, findings
 from fg_gcs.flight.streamer import STALL_S
@@ -56,6 +57,7 @@ class Watch:
         self._off_course_s: dict[VehicleAddress, float] = {}  # since when
         self._given_up_s: dict[int, float] = {}
         self._told_speed_m_s = np.zeros(len(context.fleet.vehicles))
+        self._origins = OriginWatch(context.fleet.states)
         self._time = context.journal.time
 
     async def run(self) -> None:
@@ -65,17 +67,28 @@ class Watch:
             now_s = self.turned_s = self._time()
             if late_s > STALL_S:  # this program stood still: what the vehicles said meanwhile has yet to be read
                 blind_until_s = now_s + STALL_S
+            moved = self._join_origins()
             watched = WATCHED.get(self._context.journal.stage, frozenset())
             if watched and now_s >= blind_until_s:
-                self._look(watched, now_s)
+                self._look(watched, now_s, moved)
             self._attend(now_s)
 
-    def _look(self, watched: frozenset[FaultKind], now_s: float) -> None:
+    def _join_origins(self) -> list[Finding]:
+        """Join frames that have moved to the mission's anew, and return them."""
+        fleet, found = self._context.fleet, list[Finding]()
+        for row, by_enu_m in self._origins.moved_enu_m().items():
+            fleet.move_origin(row, by_enu_m)
+            found.append(
+                Finding(FaultKind.ORIGIN, (fleet.vehicles[row].address,), size=float(np.linalg.norm(by_enu_m)))
+            )
+        return found
+
+    def _look(self, watched: frozenset[FaultKind], now_s: float, moved: list[Finding]) -> None:
         context = self._context
         rows = [row for row in sorted(context.custody.asked) if context.custody.counted_on(row)]
         rows = [row for row in rows if not self._descents.is_begun(row)]
         picture = self._picture(rows, now_s)
-        found = self._confirmed(findings(picture, context.task.rules, self._bounds), now_s)
+        found = self._confirmed(moved + findings(picture, context.task.rules, self._bounds), now_s)
         found = [one for one in found if one.kind in watched]
         new = [one for one in found if (one.kind, one.vehicles) not in self._known]
         self._known.update((one.kind, one.vehicles) for one in new)

@@ -6,6 +6,8 @@ Everything about a trial follows from its `Trial`, so that the same one gives th
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -49,6 +51,7 @@ class Trial:
         faults: inside vehicles, tables as `[[simulator.faults]]`.
         impairments: of links, tables as `[[simulator.impairments]]`.
         stops: when people ask to stop: stage and seconds since it began.
+        disk_full: when the disk is full, likewise.
     """
 
     mission: Mission
@@ -57,13 +60,15 @@ class Trial:
     faults: tuple[Mapping[str, Any], ...] = ()
     impairments: tuple[Mapping[str, Any], ...] = ()
     stops: tuple[tuple[str, float], ...] = ()
+    disk_full: tuple[tuple[str, float], ...] = ()
 
     @property
     def text(self) -> str:
         """One line for people."""
         parts = [f"{self.mission.name}, {self.autopilot}, {self.dynamics}"]
         parts += [_words(table) for table in (*self.faults, *self.impairments)]
-        parts += [f"stop {after_s:g} s into {stage}" for stage, after_s in self.stops]
+        for what, moments in (("stop", self.stops), ("disk full", self.disk_full)):
+            parts += [f"{what} {after_s:g} s into {stage}" for stage, after_s in moments]
         return "; ".join(parts)
 
     @property
@@ -202,6 +207,7 @@ async def _judge(trial: Trial, fault_separation_m: float, folder: Path) -> Judge
     beside = [
         asyncio.ensure_future(judge_.watch()),
         asyncio.ensure_future(_stop(judge_, trial.stops)),
+        asyncio.ensure_future(_fill_disk(judge_, trial.disk_full)),
         asyncio.ensure_future(_tell_stages(judge_, simulator)),
     ]
     loop = asyncio.get_running_loop()
@@ -233,6 +239,15 @@ async def _stop(judge_: _Judge, stops: Sequence[tuple[str, float]]) -> None:
         director = await _in_stage(judge_, stage)
         await asyncio.sleep(after_s)
         director.interrupt("stopped")
+
+
+async def _fill_disk(judge_: _Judge, moments: Sequence[tuple[str, float]]) -> None:
+    """Let nothing be written down any more."""
+    for stage, after_s in moments:
+        director = await _in_stage(judge_, stage)
+        await asyncio.sleep(after_s)
+        with director.journal.recorder.guard("tables"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 async def _in_stage(judge_: _Judge, stage: str) -> Director:

@@ -37,13 +37,14 @@ def trial_of(seed: int, missions: Sequence[Mission], autopilots: Sequence[str], 
     faults: list[Table] = []
     impairments: list[Table] = []
     stops: list[tuple[str, float]] = []
+    disk_full: list[tuple[str, float]] = []
     stage = STAGES[int(draw.integers(len(STAGES)))]
     at_s = float(np.round(draw.uniform(0.0, MOST_AFTER_S), 2))
     for _ in range(1 + int(draw.integers(2))):
         kind = list(WRONGS)[int(draw.integers(len(WRONGS)))]
-        WRONGS[kind](_Making(draw, mission, autopilot, stage, at_s, faults, impairments, stops))
+        WRONGS[kind](_Making(draw, mission, autopilot, stage, at_s, faults, impairments, stops, disk_full))
         at_s = float(np.round(at_s + draw.uniform(0.0, AFTER_EACH_OTHER_S), 2))
-    return Trial(mission, autopilot, chosen, tuple(faults), tuple(impairments), tuple(stops))
+    return Trial(mission, autopilot, chosen, tuple(faults), tuple(impairments), tuple(stops), tuple(disk_full))
 
 
 class _Making:
@@ -59,9 +60,10 @@ class _Making:
         faults: list[Table],
         impairments: list[Table],
         stops: list[tuple[str, float]],
+        disk_full: list[tuple[str, float]],
     ) -> None:
         self.draw, self.autopilot, self.stage, self.at_s = draw, autopilot, stage, at_s
-        self.faults, self.impairments, self.stops = faults, impairments, stops
+        self.faults, self.impairments, self.stops, self.disk_full = faults, impairments, stops, disk_full
         self._ids = mission.swarm.ids()
 
     def window(self, most: int = 2) -> Table:
@@ -105,6 +107,19 @@ def _battery(it: _Making) -> None:
     it.faults.append({"kind": "battery_low", "remaining": 0.12, **it.window(1)})
 
 
+def _rebooted(it: _Making) -> None:
+    it.faults.append({"kind": "reboot", **it.window(1)})
+
+
+def _origin(it: _Making) -> None:
+    offset = np.round(it.draw.uniform(-8.0, 8.0, 3) * (1.0, 1.0, 0.25), 1).tolist()
+    it.faults.append({"kind": "origin", "offset_enu_m": offset, "told": bool(it.draw.integers(2)), **it.window(1)})
+
+
+def _disk(it: _Making) -> None:
+    it.disk_full.append((it.stage, it.at_s))
+
+
 def _stop(it: _Making) -> None:
     it.stops.append((it.stage, it.at_s))
 
@@ -118,7 +133,10 @@ WRONGS: Final[Mapping[str, Callable[[_Making], None]]] = MappingProxyType(
         "a late link": _late_link,
         "taken over": _taken,
         "dead": _dead,
+        "rebooted": _rebooted,
+        "a local frame that moves": _origin,
         "a low battery": _battery,
         "a stop": _stop,
+        "a full disk": _disk,
     }
 )

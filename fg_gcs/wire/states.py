@@ -64,6 +64,7 @@ class StateTable:
     Attributes:
         position_ned_m: Shape (V, 3) [m; NED from each vehicle's own local origin]; NaN before the first.
         velocity_ned_m_s: Shape (V, 3) [m/s; NED], of the same samples.
+        boot_time_s: The vehicles' clocks at these samples, shape (V,) [s]; 0 before the first.
         position_at_s: Our loop time when they came, shape (V,) [s]; minus infinity before the first.
         measured_at_s: Our loop time when they were true by the vehicles' own stamps, shape (V,) [s]; minus infinity
             before the first.
@@ -77,6 +78,7 @@ class StateTable:
         rows: NDArray[Any] = np.frombuffer(self._data, _LAYOUT)
         self.position_ned_m: NDArray[np.float64] = rows["position_ned_m"]
         self.velocity_ned_m_s: NDArray[np.float64] = rows["velocity_ned_m_s"]
+        self.boot_time_s: NDArray[np.float64] = rows["boot_time_s"]
         self.position_at_s: NDArray[np.float64] = rows["position_at_s"]
         self._measured = array("d", [-math.inf] * count)
         self.measured_at_s: NDArray[np.float64] = np.frombuffer(self._measured)

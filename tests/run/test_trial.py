@@ -135,7 +135,7 @@ def test_a_seed_is_a_trial_and_a_trial_is_a_flight() -> None:
     assert len({trial.text for trial in trials}) > 250
     kinds = {table["kind"] for trial in trials for table in trial.faults}
     assert kinds == {"taken_over", "dead", "battery_low"}
-    assert len(WRONGS) == 9
+    assert len(WRONGS) == 12
     first, second = (judge(trials[7]) for _ in range(2))
     assert (first.events, first.closest_m, first.ended_s) == (second.events, second.closest_m, second.ended_s)
 
