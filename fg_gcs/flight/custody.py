@@ -19,6 +19,7 @@ BRAKES_M_S2 = 2.0  # what a vehicle brakes by when its own time-out has passed: 
 RETURN_M = 30.0  # height at which PX4 returns when it is far; ArduCopter does at 15 m
 ON_GROUND_M = 0.5  # the height that a vehicle on the ground takes up
 BLOCKS_M = 2.0  # a vehicle so near to another one's pad is in its way
+HOVERS_S = 6.0  # a vehicle that has heard nothing for so long may soon begin to return
 FRESH_S = 1.0  # a position older than that is where a vehicle was
 
 
@@ -33,11 +34,13 @@ class Custody:
     Attributes:
         asked: rows of vehicles that were asked to arm: they are ours to bring down.
         avoided: rows of those that were given up and that the present plan keeps clear of.
+        returns_m: at which heights vehicles return that hear nothing any more, shape (V,) [m]; None: they land.
     """
 
     def __init__(self, fleet: Fleet, pads_enu_m: Array, time: Callable[[], float]) -> None:
         self.asked: set[int] = set()
         self.avoided: set[int] = set()
+        self.returns_m: Array | None = None
         self._fleet = fleet
         self._pads_enu_m = pads_enu_m
         self._time = time
@@ -95,7 +98,26 @@ class Custody:
     def columns(self) -> list[Column]:
         """Return where those may be by now that were given up, down to the ground: what is planned now avoids it."""
         self.avoided.update(self.lost)
-        return [self.column(row) for row in self.lost]
+        return [column for row in self.lost for column in (self.column(row), *self._returns(row))]
+
+    def _returns(self, row: int) -> list[Column]:
+        """Return where a vehicle climbs and comes down that hears nothing any more, unless it is seen to land.
+
+        It hovers for ten seconds first, so that nobody need leave the air above it at once. In between it flies at a
+        height of its own; by then the others are far below, or away.
+        """
+        vehicle = self._fleet.vehicles[row]
+        heard = self._time() - vehicle.position_at_s < FRESH_S
+        on_its_way = self.care(row) is Care.LAND and not (heard and vehicle.mode == vehicle.profile.land_mode)
+        if self.returns_m is None or not on_its_way or (heard and not vehicle.armed):
+            return []
+        climbs = _travels(vehicle) if heard else self._time() - vehicle.heard_at_s > HOVERS_S
+        place, height_m = self._fleet.positions_enu_m()[row], self.returns_m[row] + RISES_M
+        pad = self._pads_enu_m[row]
+        if not np.isfinite(place).all():
+            place = pad
+        above = [_around(place, place, height_m, UNHEARD_M)] if climbs else []
+        return [*above, _around(pad, pad, height_m, NEAR_M)]
 
     def column(self, row: int) -> Column:
         """Return where a vehicle may be by now that was given up."""

@@ -46,6 +46,7 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Counters, Router
 from fg_gcs.mission.model import Mission
+from fg_gcs.plan.by_themselves import by_themselves
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
 from fg_gcs.record.write.kept_parameters import KeptParameters
 from fg_gcs.record.write.recorder import Recorder
@@ -59,6 +60,7 @@ HEARTBEAT_DOG_S = 3.0  # our heartbeats, and the notice of silent vehicles
 BYSTANDER_DOG_S = 5.0  # what writes down
 TOLD: Mapping[Rung, str] = {Rung.LANDING: "landing apart from each other", Rung.LAND_NOW: "landing at once"}
 MOST_STOPS = 3  # asked so often to stop, the program ends without waiting for anybody to land
+VANISHED_LEAST_M = 0.8  # vehicles come no closer by themselves: half a metre, and what they drift by
 DRAIN_S = 0.2  # how often everything is written down: soon enough for a person to read along, and after a crash
 
 
@@ -213,6 +215,7 @@ class Director:
             with self.journal.in_stage("plan"):
                 plan = self._plan(fleet, task)
                 flights.append(await self._flight(fleet, task, plan))
+                await self._let_return(fleet, plan, failsafes[0])
                 unfit = unfit_links(router, fleet.vehicles)
                 if unfit is not None:
                     raise VehicleError(unfit)
@@ -433,6 +436,35 @@ class Director:
             f"planned in {1e3 * (plan.plan_time_s + plan.timing_time_s):.0f} ms",
         )
         return plan
+
+    async def _let_return(self, fleet: Fleet, plan: FlightPlan, failsafes: Failsafes) -> None:
+        """Choose how the swarm comes down by itself when this program is gone; say what comes of it.
+
+        Raises:
+            VehicleError: a vehicle keeps its own way.
+        """
+        rules = self.mission.task().rules
+        alone = by_themselves(plan, fleet.positions_enu_m(), rules.fence, rules.separation_m, VANISHED_LEAST_M)
+        if alone.heights_m is not None:
+            await failsafes.set(alone)
+        assert self._custody is not None, "made with the flight"
+        self._custody.returns_m = failsafes.returns_m
+        vanished = alone.landing if failsafes.returns_m is None else alone.vanished
+        first, second = (fleet.vehicles[row].address for row in vanished.pair)
+        how = "all land where they are"
+        if failsafes.returns_m is not None:
+            lowest_m, highest_m = failsafes.returns_m.min(), failsafes.returns_m.max()
+            how = f"all hover, return at heights of their own from {lowest_m:.1f} to {highest_m:.1f} m, and land"
+        text = f"when this program is gone {how}: vehicles {first} and {second} are {vanished.closest_m:.2f} m apart"
+        moment = f"{vanished.after_s:.1f} s into the {vanished.stage}"
+        if vanished.bad:
+            moment += f"; two come closer than {VANISHED_LEAST_M:g} m from {100.0 * vanished.bad:.0f} % of all moments"
+        self.journal.event("warning" if vanished.bad else "plan", f"{text} if it is {moment}")
+        self.journal.recorder.know(
+            vanished_returns=failsafes.returns_m is not None,
+            vanished_separation_m=vanished.closest_m,
+            vanished_bad_share=vanished.bad,
+        )
 
     @property
     def _knows_origin(self) -> bool:

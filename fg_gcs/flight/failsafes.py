@@ -6,17 +6,19 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from fg_gcs.core.arrays import Array
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.policy import Fault, FaultKind
 from fg_gcs.flight.preparation import AT_ONCE
 from fg_gcs.link.clock import ticks
+from fg_gcs.plan.by_themselves import ByThemselves
 from fg_gcs.record.write.kept_parameters import Kept, KeptParameters
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import FailsafeParameter
 from fg_gcs.wire.commands import write_parameter
 from fg_gcs.wire.params import same
-from fg_gcs.wire.reading import read
+from fg_gcs.wire.reading import ReadParameters, Wanted, read
 from fg_gcs.wire.vehicle import Vehicle
 
 LOOKS_S: Final = 2.0  # between two looks at what is set: noticed within 5 s on a link that loses a third
@@ -33,6 +35,8 @@ class Failsafes:
 
     Attributes:
         turned_s: the loop's time of the newest sign of life of `watch` [s].
+        returns_m: at which heights the vehicles return when they hear nothing any more, shape (V,) [m; above the
+            ground]; None: they land where they are.
     """
 
     def __init__(self, fleet: Fleet, journal: Journal, kept: KeptParameters | None) -> None:
@@ -44,29 +48,37 @@ class Failsafes:
         self._set: dict[Vehicle, dict[str, float]] = {}  # what they are set to
         self._files: dict[Vehicle, Kept] = {}
         self._told: set[tuple[VehicleAddress, str, float]] = set()
+        self.returns_m: Array | None = None
+        self._waits_s = 0.0
 
-    async def set(self) -> None:
+    async def set(self, alone: ByThemselves | None = None) -> None:
         """Change those failsafes that are unsafe for a swarm, as `prepare` has read them; say what was found and set.
 
-        A value that an earlier run has set, and did not put back because it crashed, is not taken for the user's own.
+        It may be called again with another choice: what was found first is the user's own. A value that an earlier run
+        has set, and did not put back because it crashed, is not.
+
+        Args:
+            alone: how the swarm comes down by itself; None: every vehicle lands where it is.
 
         Raises:
             VehicleError: a vehicle keeps an unsafe value; names vehicle and parameter.
         """
         left = [] if self._kept is None else self._kept.left()
-        for vehicle in self._fleet.vehicles:
+        if alone is not None and alone.heights_m is not None:
+            await self._choose_returns(alone.heights_m, alone.waits_s)
+        for row, vehicle in enumerate(self._fleet.vehicles):
             own = self._left_of(vehicle, left)
-            for failsafe in vehicle.profile.failsafes:
-                value = vehicle.params.get(failsafe.name)
-                if failsafe.wanted is None or value is None:
+            for name, wanted in self._wanted(row, vehicle).items():
+                value = vehicle.params.get(name)
+                if value is None:
                     continue
-                if failsafe.name in own and same(value, failsafe.wanted):
-                    value = own[failsafe.name]
-                    text = f"{failsafe.name} = {failsafe.wanted:g} is left by a run that crashed; it was {value:g}"
+                if name in own and same(value, own[name][1]) and name not in self._found.get(vehicle, {}):
+                    text = f"{name} = {value:g} is left by a run that crashed; it was {own[name][0]:g}"
+                    value = own[name][0]
                     self._journal.event("failsafe", f"vehicle {vehicle.address}: {text}")
-                if value != failsafe.wanted:
-                    self._found.setdefault(vehicle, {})[failsafe.name] = value
-                    self._set.setdefault(vehicle, {})[failsafe.name] = failsafe.wanted
+                if not same(value, wanted):
+                    self._found.setdefault(vehicle, {}).setdefault(name, value)
+                    self._set.setdefault(vehicle, {})[name] = wanted
         self._keep()  # before anything is changed: whatever happens, what was found can be looked up
         await self._fleet.ask(
             list(self._set),
@@ -74,6 +86,40 @@ class Failsafes:
             AT_ONCE,
         )
         self._report()
+
+    async def _choose_returns(self, heights_m: Array, waits_s: float) -> None:
+        """Let all return at these heights, shape (V,) [m], if all of them can; read what is changed for that.
+
+        Raises:
+            VehicleError: a vehicle does not tell a parameter.
+        """
+        vehicles = self._fleet.vehicles
+        await self._fleet.ask(
+            vehicles,
+            lambda vehicle: [
+                ReadParameters(tuple(Wanted(tuple(one.names), needed=False) for one in vehicle.profile.returns))
+            ],
+        )
+        unable = [
+            vehicle.address
+            for vehicle in vehicles
+            if any(one.needed and one.name_in(vehicle.params) is None for one in vehicle.profile.returns)
+        ]
+        if unable:
+            text = f"{vehicles_named(unable)} cannot return at a height of its own"
+            self._journal.event("warning", f"{text}, so all land where they are when this program is gone")
+        else:
+            self.returns_m, self._waits_s = heights_m, waits_s
+
+    def _wanted(self, row: int, vehicle: Vehicle) -> dict[str, float]:
+        """Return what parameters of a vehicle are to be for this flight."""
+        wanted = {one.name: one.wanted for one in vehicle.profile.failsafes if one.wanted is not None}
+        if self.returns_m is not None:
+            for one in vehicle.profile.returns:
+                name = one.name_in(vehicle.params)
+                if name is not None:
+                    wanted[name] = one.value_for(name, float(self.returns_m[row]), self._waits_s)
+        return wanted
 
     async def watch(self, report: Callable[[Fault], None]) -> None:
         """Read again what was set, for ever, and set it again where it has changed: run it as a task.
@@ -125,12 +171,12 @@ class Failsafes:
         self._journal.event("fault", text, fault=FaultKind.PARAMETER.value, vehicles=[vehicle.address.label], value=now)
         report(Fault(FaultKind.PARAMETER, (vehicle.address,), text, self._journal.time(), now))
 
-    def _left_of(self, vehicle: Vehicle, left: Sequence[Kept]) -> dict[str, float]:
-        """Return a vehicle's own values that a run which did not end has changed and left so."""
+    def _left_of(self, vehicle: Vehicle, left: Sequence[Kept]) -> dict[str, tuple[float, float]]:
+        """Return a vehicle's own values that a run which did not end has changed and left so, and what it set."""
         endpoint = self._fleet.router.endpoint_of(vehicle.address)
         for one in left:
             if (one.network, one.system_id, one.endpoint) == (*vehicle.address, endpoint):
-                return {name: value for name, value in one.found.items() if name in one.set}
+                return {name: (value, one.set[name]) for name, value in one.found.items() if name in one.set}
         return {}
 
     def _keep(self) -> None:
@@ -169,8 +215,10 @@ class Failsafes:
     def _report(self) -> None:
         groups: dict[tuple[str, float, float | None, str], list[VehicleAddress]] = {}
         for vehicle in self._fleet.vehicles:
+            returns = () if self.returns_m is None else vehicle.profile.returns
+            told = {name for one in returns for name in one.names}  # of all of them together, in a sentence
             for failsafe in vehicle.profile.failsafes:
-                if failsafe.name in vehicle.params:
+                if failsafe.name in vehicle.params and failsafe.name not in told:
                     groups.setdefault(self._line(vehicle, failsafe), []).append(vehicle.address)
         for (name, found, to, reason), addresses in groups.items():
             change = "" if to is None else f", set to {to:g} for this flight"

@@ -141,8 +141,11 @@ class Watch:
                 self._given_up_s.setdefault(row, picture.now_s)
         if care is Care.LEAVE:
             context.streamer.release(rows)
-        elif fault.kind is FaultKind.OWN_FAILSAFE:  # it comes down already; but PX4 would follow a stream again
-            self._descents.begin(rows)
+        elif (
+            fault.kind is FaultKind.OWN_FAILSAFE
+        ):  # what comes down already must not follow a stream again, as PX4 does
+            vehicles = context.fleet.vehicles
+            self._descents.begin(row for row in rows if vehicles[row].mode == vehicles[row].profile.land_mode)
 
     def _take_back(self, found: list[Finding], rows: list[int]) -> None:
         """Let those fly on that are heard again, where they should be."""

@@ -36,7 +36,9 @@ LONGEST_S: Final = 900.0  # of a flight with its end: whatever takes longer hang
 IN_THE_AIR_M: Final = 0.3  # above the ground
 NOISE_M: Final = 0.01  # by which a distance may be below its minimum: what particles are off by
 SLACK_M: Final = 0.05  # likewise of a pair of which one could not hear us
-FAILSAFES: Final = MappingProxyType({"px4": ("COM_OBL_RC_ACT", 4.0), "ardupilot": ("FS_GCS_ENABLE", 5.0)})
+FAILSAFES: Final = MappingProxyType(  # whose values are ours: landing, or hovering and returning
+    {"px4": ("COM_OBL_RC_ACT", (4.0, 5.0)), "ardupilot": ("FS_GCS_ENABLE", (5.0, 1.0))}
+)
 UNHEARING: Final = ("taken_over", "reboot", "dead", "commands_refused")  # kinds of vehicles that need not do as told
 
 
@@ -170,7 +172,7 @@ class _Judge(Observer):
     def _failsafes(self, flying: NDArray[np.bool_], now_s: float) -> None:
         name, wanted = FAILSAFES[self._trial.autopilot]
         for row in np.flatnonzero(flying).tolist():
-            if self._simulator.fleet.vehicles[row].autopilot.parameters[name] != wanted:
+            if self._simulator.fleet.vehicles[row].autopilot.parameters[name] not in wanted:
                 self._failsafe.setdefault(self._ids[row], now_s)
 
     def conclude(self) -> None:

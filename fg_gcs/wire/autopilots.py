@@ -3,7 +3,7 @@
 Every entry was measured on ArduCopter 4.7-dev and PX4 1.17-alpha in simulation, see docs/autopilots.
 """
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
@@ -66,6 +66,41 @@ class FailsafeParameter:
     reason: str
 
 
+class ReturnSetting(Enum):
+    """What a parameter of a return says."""
+
+    FIXED = "a number that is the same for all"
+    HEIGHT = "at which height above its pad a vehicle returns [m]"
+    WAIT = "how long it waits above its pad [s]"
+
+
+@dataclass(frozen=True, slots=True)
+class ReturnParameter:
+    """One parameter that makes a vehicle hover and then return, at a height of its own, when we fall silent.
+
+    Attributes:
+        setting: What it says.
+        names: Its names in different firmwares, of which a vehicle has one, and what a height or wait is multiplied by.
+        value: The number, if it is fixed.
+        needed: Without it a vehicle does not return so.
+    """
+
+    setting: ReturnSetting
+    names: Mapping[str, float]
+    value: float = 0.0
+    needed: bool = True
+
+    def name_in(self, known: Container[str]) -> str | None:
+        """Return its name among those that a vehicle knows."""
+        return next((name for name in self.names if name in known), None)
+
+    def value_for(self, name: str, height_m: float, wait_s: float) -> float:
+        """Return what to set it to by one of its names; a multiple of metres or seconds is a whole number."""
+        number = {ReturnSetting.FIXED: self.value, ReturnSetting.HEIGHT: height_m, ReturnSetting.WAIT: wait_s}
+        scale = self.names[name]
+        return round(scale * number[self.setting], 2 if scale == 1.0 else None) * 1.0
+
+
 @dataclass(frozen=True, slots=True)
 class Stream:
     """One telemetry stream to ask for.
@@ -101,6 +136,7 @@ class AutopilotProfile:
         encoding: How integer parameters travel.
         limits: Where its limits of flight are stored.
         failsafes: What to check before arming.
+        returns: What makes it hover and return at a height of its own instead; they come on top.
         rates_hz: Streams to ask for beside LOCAL_POSITION_NED, by message name; negative: off.
     """
 
@@ -117,6 +153,7 @@ class AutopilotProfile:
     encoding: Encoding
     limits: tuple[LimitParameter, ...]
     failsafes: tuple[FailsafeParameter, ...]
+    returns: tuple[ReturnParameter, ...]
     rates_hz: Mapping[str, float]
 
     def mode_name(self, mode: int) -> str:
@@ -147,6 +184,10 @@ def _message_id(name: str) -> int:
 
 def _px4_mode(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
+
+
+def _fixed(name: str, value: float, *, needed: bool = True) -> ReturnParameter:
+    return ReturnParameter(ReturnSetting.FIXED, MappingProxyType({name: 1.0}), value, needed)
 
 
 def _limit(quantity: str, **names: float) -> LimitParameter:
@@ -217,6 +258,15 @@ PX4: Final = AutopilotProfile(
         FailsafeParameter("COM_OF_LOSS_T", None, "how long setpoints may be missing before that, in seconds"),
         FailsafeParameter("NAV_DLL_ACT", None, "what it does when our heartbeats stop"),
     ),
+    returns=(
+        _fixed("COM_OBL_RC_ACT", 5.0),  # hover without setpoints; and without heartbeats for COM_DL_LOSS_T
+        _fixed("NAV_DLL_ACT", 2.0),  # return
+        _fixed("COM_DL_LOSS_T", 10.0),
+        ReturnParameter(ReturnSetting.HEIGHT, MappingProxyType({"RTL_RETURN_ALT": 1.0})),
+        ReturnParameter(ReturnSetting.HEIGHT, MappingProxyType({"RTL_DESCEND_ALT": 1.0})),  # where it waits
+        ReturnParameter(ReturnSetting.WAIT, MappingProxyType({"RTL_LAND_DELAY": 1.0})),
+        _fixed("RTL_CONE_ANG", 0.0),  # no lower return near home
+    ),
     rates_hz=MappingProxyType(
         _RATES_HZ
         | {"CURRENT_MODE": 5.0}  # its HEARTBEAT stays at 1 Hz whatever one asks: a mode change would show late
@@ -251,6 +301,14 @@ ARDUPILOT: Final = AutopilotProfile(
         FailsafeParameter("FS_GCS_ENABLE", 5.0, "lands when our heartbeats stop; by default it does nothing"),
         FailsafeParameter("FS_GCS_TIMEOUT", None, "how long heartbeats may be missing before that, in seconds"),
         FailsafeParameter("GUID_TIMEOUT", None, "how long it flies on after setpoints stop, in seconds"),
+    ),
+    returns=(
+        _fixed("FS_GCS_ENABLE", 1.0),  # return without heartbeats for FS_GCS_TIMEOUT; it hovers until then
+        _fixed("FS_GCS_TIMEOUT", 10.0),
+        ReturnParameter(ReturnSetting.HEIGHT, MappingProxyType({"RTL_ALT": 100.0, "RTL_ALT_M": 1.0})),
+        ReturnParameter(ReturnSetting.WAIT, MappingProxyType({"RTL_LOIT_TIME": 1000.0})),
+        _fixed("RTL_ALT_FINAL", 0.0, needed=False),  # come down to the ground
+        _fixed("RTL_CONE_SLOPE", 0.0, needed=False),  # no lower return near home
     ),
     rates_hz=MappingProxyType(
         _RATES_HZ | {"HEARTBEAT": 5.0}  # arming shows in the next heartbeat only: up to 1 s late by default
