@@ -15,24 +15,28 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.core.separation import Fence
 from fg_gcs.errors import LinkError
 from fg_gcs.experiment.bare_process import bare_vehicles, free_ports
 from fg_gcs.experiment.baselines.ground_stations import HEAR_S, Mavutil, Numbers
 from fg_gcs.experiment.memory_bench import memory_mb
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.garbage import short_collections
+from fg_gcs.flight.gate import Gate
 from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.motions import SwarmSetpoint
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.router import Router, Routes
+from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.bare import boot_frames
 from fg_gcs.wire.setpoint import SetpointRound
 
 FLUSH_S: Final = 0.2  # as a flight does it
 MOST_IDS: Final = 250  # of a network
+ANYWHERE: Final = Rules(Limits(8.0, 4.0), 1.5, Fence((-1e5, -1e5, -1e5), (1e5, 1e5, 1e5)))
 BATCH: Final = 60  # messages that wait when reading begins: what the system keeps at least
 
 
@@ -156,7 +160,7 @@ async def stream(count: int, rate_hz: float, networks: int, position_hz: float, 
             with bare_vehicles(remotes, max(position_hz, 1.0)) as vehicles, short_collections():
                 await station.hear(range(count))
                 vehicles.set_position_hz(position_hz)
-                streamer = Streamer(station.fleet, station.recorder, rate_hz)
+                streamer = Streamer(station.fleet, station.recorder, rate_hz, Gate(station.fleet, ANYWHERE))
                 streamer.motion = Circles(station.fleet.positions_enu_m())
                 streamer.engage(streamer.motion.rows)
                 tasks = [asyncio.create_task(each) for each in (station.router.keep_alive(), station.flush())]
