@@ -25,7 +25,8 @@ GAP_S: Final = 0.5  # what left longer ago says nothing about where a vehicle is
 FIRST_M: Final = 1.0  # from where a vehicle is reported to its first setpoint: estimates wander, wind pushes
 SLOW_M_S: Final = 1.0  # of a first setpoint's velocity
 LEAP_M: Final = 0.01  # of rounding between motions
-LEAP_M_S: Final = 0.1  # likewise, and of speeds that nobody has to brake for
+LEAP_M_S: Final = 0.1  # likewise
+CREEP_M_S: Final = 0.02  # so slowly anybody may go anywhere that is not forbidden yet
 MARGIN: Final = 2.0  # times the motions' limit of acceleration: what may leave, and what brakes
 ROUNDING_M: Final = 1e-6
 
@@ -191,11 +192,12 @@ def _goes_on(wanted: Array, row: Array, dt: float, most: float) -> bool:
 @kernel
 def _takes_off(wanted: Array, row: Array, bounds: Array) -> bool:
     """Say whether a vehicle that got nothing lately, or that stands, is told to be right there or above."""
-    if not (row[7] == NEVER or row[2] < bounds[GROUND]):
+    first = row[7] == NEVER
+    if not (first or row[2] < bounds[GROUND]):
         return False
     x, y, z = wanted[0] - row[0], wanted[1] - row[1], wanted[2] - row[2]
     speed2 = wanted[3] ** 2 + wanted[4] ** 2 + wanted[5] ** 2
-    takes_off: bool = x * x + y * y <= FIRST_M**2 and z >= -FIRST_M and speed2 <= SLOW_M_S**2
+    takes_off: bool = x * x + y * y <= FIRST_M**2 and z >= (-FIRST_M if first else -LEAP_M) and speed2 <= SLOW_M_S**2
     return takes_off
 
 
@@ -207,17 +209,14 @@ def alone(wanted: Array, row: Array, now_s: float, bounds: Array) -> int:
             return NOT_FINITE
     code = 0
     a = bounds[ACCELERATION]
-    allowance_m = 0.0
+    allowance_m = FIRST_M if row[7] == NEVER else 0.0
     if row[7] == NEVER or not _goes_on(wanted, row, now_s - row[7], MARGIN * a):
-        if _takes_off(wanted, row, bounds):
-            allowance_m = FIRST_M
-        else:
-            code |= JUMP
+        code |= 0 if _takes_off(wanted, row, bounds) else JUMP
     for c in range(3):
         low, high = min(bounds[LOW + c], row[c] - allowance_m), max(bounds[HIGH + c], row[c] + allowance_m)
         below, above = wanted[c] - low, high - wanted[c]
         upwards, downwards = math.sqrt(2.0 * a * max(above, 0.0)), math.sqrt(2.0 * a * max(below, 0.0))
-        if below < -ROUNDING_M or above < -ROUNDING_M or not -downwards <= _beyond(wanted[3 + c], LEAP_M_S) <= upwards:
+        if below < -ROUNDING_M or above < -ROUNDING_M or not -downwards <= _beyond(wanted[3 + c], CREEP_M_S) <= upwards:
             code |= FENCE
     return code
 
@@ -313,18 +312,30 @@ def _closes(
     if d == 0.0:
         return False
     closing = -(gx * vx + gy * vy + gz * vz) / d
-    if closing <= LEAP_M_S:
+    if closing <= CREEP_M_S:
         return False
-    return closing - LEAP_M_S > fastest(w2 - closing * closing, d - least, apart_m, a)
+    return closing - CREEP_M_S > fastest(w2, d, least, a)
 
 
 @kernel
-def fastest(across2: float, room_m: float, apart_m: float, a: float) -> float:
-    """Return how fast two may come together that have room for it [m/s].
+def fastest(speed2: float, d: float, least_m: float, a: float) -> float:
+    """Return how fast two may come together, of a relative speed, that they can brake without coming too near [m/s].
 
-    A distance D changes by D'' = a_r + w_t^2 / D: two that pass each other part again without braking.
+    Braking by a along the relative velocity w leads on by L = w^2 / (2 a). A line touches the least distance s after T,
+    T^2 = D^2 - s^2; on a steeper one the distance is s at the end of L if the cosine of its angle to the other is
+    (T^2 + L^2) / (2 D L).
+
+    Args:
+        speed2: square of the relative speed [m^2/s^2].
+        d: their distance [m].
+        least_m: how near they may come [m].
+        a: by which they brake together [m/s^2].
     """
-    return math.sqrt(2.0 * (a + max(across2, 0.0) / apart_m) * max(room_m, 0.0))
+    speed, on = math.sqrt(speed2), speed2 / (2.0 * a)
+    touch2 = max(d * d - least_m * least_m, 0.0)
+    if on * on >= touch2 or on == 0.0:
+        return speed * math.sqrt(touch2) / d
+    return speed * min((touch2 + on * on) / (2.0 * d * on), 1.0)
 
 
 @kernel

@@ -76,33 +76,32 @@ def mend(
             setpoint was nearest (-1: nobody's) and how near [m].
     """
     n = len(rows)
-    final = np.zeros(n, np.bool_)
-    codes = np.zeros(n, np.int64)
+    braked, codes = np.empty(10), np.zeros(n, np.int64)
     for k in range(n):
         out[k] = wanted[k]
         notes[k, STATUS], notes[k, CODE], notes[k, CHANGE_BY] = UNCHANGED, 0, 0.0
         notes[k, OTHER], notes[k, DISTANCE] = -1, math.inf
-    for sweep in range(SWEEPS + 2 + n):
+    for sweep in range(SWEEPS):
         _judge_all(rows, out, told, now_s, bounds, points, columns, codes, notes)
-        changed = False
+        if not codes.any():
+            break
         new = out.copy()
+        args = (rows, out, told, now_s, bounds, points, columns)
         for k in range(n):
-            if codes[k] == 0 or final[k]:
+            if codes[k] == 0 or notes[k, STATUS] == HELD_BACK:
                 continue
-            changed = True
             notes[k, CODE] = int(notes[k, CODE]) | codes[k]
             row = told[rows[k]]
-            tries = sweep < SWEEPS and not codes[k] & NOT_FINITE and row[7] != NEVER
-            if tries and _change(k, rows, wanted, out, told, now_s, bounds, points, columns, final, new[k]):
+            tries = notes[k, STATUS] < BRAKED and sweep < SWEEPS - 2 and row[7] != NEVER and not codes[k] & NOT_FINITE
+            if tries and _change(k, wanted[k], CHANGE_M, new[k], *args):
                 notes[k, STATUS] = CHANGED
                 continue
-            final[k] = True
             notes[k, STATUS] = HELD_BACK if row[7] == NEVER else BRAKED
-            _brake(new[k], row, now_s, bounds, int(notes[k, CODE]))
+            _brake(braked, row, now_s, bounds, int(notes[k, CODE]))
+            if row[7] == NEVER or not _change(k, braked, math.inf, new[k], *args):
+                new[k] = braked
         for k in range(n):
             out[k] = new[k]
-        if not changed:
-            break
     for k in range(n):
         if notes[k, STATUS] != UNCHANGED:
             change = math.sqrt(
@@ -165,18 +164,18 @@ def _brake(out: Array, row: Array, now_s: float, bounds: Array, code: int) -> No
 @kernel
 def _change(
     k: int,
-    rows: NDArray[np.int_],
     wanted: Array,
+    most_m: float,
+    new: Array,
+    rows: NDArray[np.int_],
     out: Array,
     told: Array,
     now_s: float,
     bounds: Array,
     points: Array,
     columns: Array,
-    final: NDArray[np.bool_],
-    new: Array,
 ) -> bool:
-    """Fill a setpoint with the nearest one that may leave, if there is one within `CHANGE_M`.
+    """Fill a setpoint with the one nearest to a wanted one that may leave, if there is one within a distance [m].
 
     Nearest means: the position first, then the velocity. What a position is kept from is a plane across the way to the
     other, at its least distance, on the side on which the vehicle was; of what a pair may come nearer, each gets the
@@ -190,20 +189,18 @@ def _change(
     p, v = row[:3], row[3:6]
     radius = TIGHT * (0.5 * most * dt * dt + LEAP_M)
     centre = p + v * dt
-    if math.sqrt(((wanted[k, :3] - centre) ** 2).sum()) - radius > CHANGE_M:
+    if math.sqrt(((wanted[:3] - centre) ** 2).sum()) - radius > most_m:
         return False
-    count = _planes(k, rows, wanted[k], out, told, bounds, points, columns, final, normals, offsets)
-    if count < 0:
-        return False
+    brakes = math.isinf(most_m)  # then what breaks a rule the least has to do
+    count = _planes(k, rows, wanted, out, told, bounds, points, columns, normals, offsets)
     x = new[:3]
-    if not nearest(wanted[k, :3], normals[:count], offsets[:count], centre, radius, x):
+    if count < 0 or not (nearest(wanted[:3], normals[:count], offsets[:count], centre, radius, x) or brakes):
         return False
-    if math.sqrt(_square(x, wanted[k])) > CHANGE_M:
+    if math.sqrt(_square(x, wanted)) > most_m:
         return False
-    count = _speed_planes(k, rows, wanted[k], x, out, told, bounds, points, columns, final, normals, offsets)
-    if count < 0:
-        return False
-    if not nearest(wanted[k, 3:6], normals[:count], offsets[:count], v, TIGHT * (most * dt + LEAP_M_S), new[3:6]):
+    count = _speed_planes(k, rows, wanted, x, out, told, bounds, points, columns, normals, offsets)
+    slower = TIGHT * (most * dt + LEAP_M_S)
+    if count < 0 or not (nearest(wanted[3:6], normals[:count], offsets[:count], v, slower, new[3:6]) or brakes):
         return False
     size = 0.0
     for c in range(3):
@@ -212,7 +209,7 @@ def _change(
     scale = min(1.0, TIGHT * most / max(math.sqrt(size), 1e-9))
     for c in range(3):
         new[6 + c] *= scale
-    new[9] = wanted[k, 9]
+    new[9] = wanted[9]
     return True
 
 
@@ -287,7 +284,6 @@ def _planes(
     bounds: Array,
     points: Array,
     columns: Array,
-    final: NDArray[np.bool_],
     normals: Array,
     offsets: Array,
 ) -> int:
@@ -308,7 +304,7 @@ def _planes(
         room = before - min(bounds[APART], before)
         ours = -(n0 * (out[k, 0] - p[0]) + n1 * (out[k, 1] - p[1]) + n2 * (out[k, 2] - p[2]))
         comes = n0 * (out[j, 0] - q[0]) + n1 * (out[j, 1] - q[1]) + n2 * (out[j, 2] - q[2])
-        may = _share(room, ours, comes, final[j])
+        may = _share(room, ours, comes)
         count = _add(count, n0, n1, n2, n0 * p[0] + n1 * p[1] + n2 * p[2] - may, normals, offsets)
     for j in range(len(points)):
         before = math.sqrt(_square(p, points[j]))
@@ -331,9 +327,9 @@ def _planes(
 
 
 @kernel
-def _share(room: float, ours: float, theirs: float, stays: bool) -> float:
+def _share(room: float, ours: float, theirs: float) -> float:
     """Return by how much one of a pair may come nearer, of the room that both have."""
-    if ours + theirs > room and ours > 0.0 and theirs > 0.0 and not stays:
+    if ours + theirs > room and ours > 0.0 and theirs > 0.0:
         return room * ours / (ours + theirs)
     return max(room - theirs, 0.0)
 
@@ -349,7 +345,6 @@ def _speed_planes(
     bounds: Array,
     points: Array,
     columns: Array,
-    final: NDArray[np.bool_],
     normals: Array,
     offsets: Array,
 ) -> int:
@@ -372,9 +367,9 @@ def _speed_planes(
         n0, n1, n2 = (x[0] - out[j, 0]) / d, (x[1] - out[j, 1]) / d, (x[2] - out[j, 2]) / d
         closing = -(n0 * w0 + n1 * w1 + n2 * w2)
         least = min(bounds[APART], math.sqrt(_square(p, told[rows[j]])))
-        most = fastest(square - closing * closing, d - least, bounds[APART], 2.0 * a)
+        most = fastest(square, d, least, 2.0 * a)
         comes = n0 * out[j, 3] + n1 * out[j, 4] + n2 * out[j, 5]
-        may = _share(most, closing - comes, comes, final[j])
+        may = _share(most, closing - comes, comes)
         count = _add(count, n0, n1, n2, -may, normals, offsets)
     speed2 = u0 * u0 + u1 * u1 + u2 * u2
     for j in range(len(points)):
@@ -383,7 +378,7 @@ def _speed_planes(
             n0, n1, n2 = (x[0] - points[j, 0]) / d, (x[1] - points[j, 1]) / d, (x[2] - points[j, 2]) / d
             closing = -(n0 * u0 + n1 * u1 + n2 * u2)
             least = min(points[j, 3], math.sqrt(_square(p, points[j])))
-            most = fastest(speed2 - closing * closing, d - least, points[j, 3], a)
+            most = fastest(speed2, d, least, a)
             count = _add(count, n0, n1, n2, -most, normals, offsets)
     for j in range(len(columns)):
         q = nearest_on((x[0], x[1], 0.0), columns[j])
@@ -394,7 +389,7 @@ def _speed_planes(
             n0, n1 = (x[0] - q[0]) / d, (x[1] - q[1]) / d
             closing = -(n0 * u0 + n1 * u1)
             least = min(columns[j, 5], math.hypot(p[0] - q0[0], p[1] - q0[1]))
-            most = fastest(flat2 - closing * closing, d - least, columns[j, 5], a)
+            most = fastest(flat2, d, least, a)
             count = _add(count, n0, n1, 0.0, -most, normals, offsets)
     return count
 

@@ -36,6 +36,8 @@ from fg_gcs.wire.setpoint import SetpointRound
 
 FLUSH_S: Final = 0.2  # as a flight does it
 MOST_IDS: Final = 250  # of a network
+SETPOINTS_HZ: Final = 50.0
+GATE_ROUNDS: Final = 200
 ANYWHERE: Final = Rules(Limits(8.0, 4.0), 1.5, Fence((-1e5, -1e5, -1e5), (1e5, 1e5, 1e5)))
 BATCH: Final = 60  # messages that wait when reading begins: what the system keeps at least
 
@@ -55,6 +57,7 @@ class Streaming(NamedTuple):
     right: int  # setpoints that reached the vehicle that they are for
     wrong: int  # setpoints that reached another one
     sent: int
+    gate_us: float  # of a setpoint through the last gate
 
 
 class Circles:
@@ -73,8 +76,8 @@ class Circles:
         self._places = places_enu_m
 
     def at(self, now_s: float) -> SwarmSetpoint:
-        """Return a point on each circle, of 1 m at 1 rad/s."""
-        along = np.array((math.cos(now_s), math.sin(now_s), 0.0))
+        """Return a point on each circle, of half a metre at 1 rad/s."""
+        along = 0.5 * np.array((math.cos(now_s), math.sin(now_s), 0.0))
         velocity, acceleration = np.empty_like(self._places), np.empty_like(self._places)
         velocity[:], acceleration[:] = (-along[1], along[0], 0.0), -along
         return SwarmSetpoint(self._places + along, velocity, acceleration, np.full(len(velocity), now_s % math.pi))
@@ -191,9 +194,27 @@ async def stream(count: int, rate_hz: float, networks: int, position_hz: float, 
                 right,
                 wrong,
                 sent,
+                gate_us(station.fleet),
             )
         finally:
             station.close()
+
+
+def gate_us(fleet: Fleet) -> float:
+    """Return what the last gate takes for a setpoint of a swarm of which each flies its own circle [us]."""
+    gate, rows, places = Gate(fleet, ANYWHERE), np.arange(len(fleet.vehicles)), fleet.positions_enu_m()
+    phases, radius_m, taken_s = 2.4 * fleet.system_ids, 0.4, list[float]()
+    for turn in range(GATE_ROUNDS):
+        angle = phases + turn / SETPOINTS_HZ
+        along = radius_m * np.stack((np.cos(angle), np.sin(angle), np.zeros(len(rows))), axis=1)
+        across = radius_m * np.stack((-np.sin(angle), np.cos(angle), np.zeros(len(rows))), axis=1)
+        numbers = np.column_stack((places + along, across, -along, np.zeros(len(rows))))
+        began_s = time.perf_counter()
+        gate.passed(rows, numbers, turn / SETPOINTS_HZ)
+        taken_s.append(time.perf_counter() - began_s)
+    if gate.counts.total:
+        raise RuntimeError(f"setpoints that nothing is wrong with do not pass: {gate.counts}")
+    return 1e6 * median(taken_s) / len(rows)
 
 
 async def telemetry_us(race_s: float, *, others: bool) -> tuple[float, float | None]:

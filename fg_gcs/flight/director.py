@@ -89,7 +89,7 @@ class FlightResult:
     not_down: tuple[VehicleAddress, ...] = ()  # those that are not known to be on the ground with their motors off
     died: tuple[str, ...] = ()  # names of tasks of this program that raised or hung, and were started again
     late_ticks: int = 0
-    gate: GateCounts | None = None  # what did not pass before the wire; None: nothing was streamed
+    gate: GateCounts | None = None  # setpoints that did not pass the last gate; None: there was none
     counters: Counters | None = None
     tracking: TrackingSummary | None = None  # of missions with moving targets, once tracking has begun
 

@@ -109,7 +109,7 @@ class Gate:
         self._apart_m = rules.separation_m
         acceleration = max(rules.limits.acceleration_m_s2, LEAST_M_S2)
         low, high = np.array(rules.fence.low_enu_m) - FENCE_M, np.array(rules.fence.high_enu_m) + FENCE_M
-        ground_m = max(rules.fence.low_enu_m[2], GROUND_M)
+        ground_m = max(low[2], GROUND_M)
         self._bounds = np.concatenate((low, high, (rules.separation_m - SEPARATION_M, acceleration, ground_m)))
         self._told = np.full((count, 8), np.nan)
         self._told[:, 7] = _OLD
