@@ -20,7 +20,7 @@ NOT_FINITE, JUMP, FENCE, NEAR, KEPT_CLEAR = 1, 2, 4, 8, 16  # reasons; a code is
 STALE, REBUILD = -1, -2  # what `judge` cannot do without
 
 NEVER: Final = -math.inf
-LARGEST: Final = 1e6  # m, m/s, m/s^2, rad: what `wire.setpoint` takes
+LARGEST: Final = 1e6  # m, m/s, m/s^2, rad: ArduCopter flies to 1e6 m and dies of 1e9 m; no flight of ours comes near
 GAP_S: Final = 0.5  # what left longer ago says nothing about where a vehicle is
 FIRST_M: Final = 1.0  # from where a vehicle is reported to its first setpoint: estimates wander, wind pushes
 SLOW_M_S: Final = 1.0  # of a first setpoint's velocity

@@ -104,10 +104,7 @@ def mend(
             out[k] = new[k]
     for k in range(n):
         if notes[k, STATUS] != UNCHANGED:
-            change = math.sqrt(
-                (out[k, 0] - wanted[k, 0]) ** 2 + (out[k, 1] - wanted[k, 1]) ** 2 + (out[k, 2] - wanted[k, 2]) ** 2
-            )
-            notes[k, CHANGE_BY] = change
+            notes[k, CHANGE_BY] = math.sqrt(_square(out[k], wanted[k]))
         if notes[k, STATUS] != HELD_BACK:
             note(told[rows[k]], out[k], now_s)
 

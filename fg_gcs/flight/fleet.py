@@ -98,6 +98,11 @@ class Fleet:
         self.frames = tuple(LocalFrame((east, north, up)) for east, north, up in places)
         self.origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
 
+    @property
+    def armed(self) -> NDArray[np.bool_]:
+        """Whose motors run, by the newest telemetry, shape (V,)."""
+        return np.array([vehicle.armed for vehicle in self.vehicles], dtype=bool)
+
     def located(self, now_s: float) -> Located:
         """Return where all vehicles are at one instant of the loop's time [s], with age and uncertainty."""
         return located(self.states, self.origins_enu_m, now_s)

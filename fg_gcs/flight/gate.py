@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,6 @@ from numpy.typing import NDArray
 from fg_gcs.core import admissible, mending
 from fg_gcs.core.admissible import Around
 from fg_gcs.core.arrays import Array
-from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.motions import SwarmSetpoint
 from fg_gcs.plan.keep_clear import Column
 from fg_gcs.plan.landing import clearings_m
@@ -92,18 +91,29 @@ class GateCounts(NamedTuple):
         return self.changed + self.braked + self.held_back
 
 
+class Reported(Protocol):
+    """What vehicles of a fleet tell; `Fleet` is one."""
+
+    @property
+    def armed(self) -> NDArray[np.bool_]:
+        """Whose motors run, shape (V,)."""
+
+    def positions_enu_m(self, now_s: float) -> Array:
+        """Return where they are at one instant, shape (V, 3) [m; ENU]."""
+
+
 class Gate:
     """Lets setpoints of a fleet leave, round by round.
 
     Args:
-        fleet: with its frames.
+        fleet: with its frames, once setpoints are to leave.
         rules: limits, separation and fence.
         kept_clear: tells what the plans that are flown keep clear.
     """
 
-    def __init__(self, fleet: Fleet, rules: Rules, kept_clear: Callable[[], Sequence[Column]] = tuple) -> None:
+    def __init__(self, fleet: Reported, rules: Rules, kept_clear: Callable[[], Sequence[Column]] = tuple) -> None:
         mending.build()  # no round waits for a compiler
-        count = len(fleet.vehicles)
+        count = len(fleet.armed)
         self._fleet, self._kept_clear = fleet, kept_clear
         self._clear_m = min(clearings_m(rules))
         self._apart_m = rules.separation_m
@@ -142,7 +152,8 @@ class Gate:
         if rows is not self._rows:
             self._rows, self._all_sent = rows, len(np.unique(rows)) == len(self._told)
             self._built = np.empty((0, 3))
-        around = self._nothing if self._all_sent else self._around(rows, now_s)
+        columns = self._kept_clear()
+        around = self._nothing if self._all_sent and not columns else self._around(rows, columns, now_s)
         codes = self._codes[: len(rows)]
         while True:
             failed = admissible.judge(
@@ -212,17 +223,12 @@ class Gate:
                 return
             most = count
 
-    def _around(self, rows: NDArray[np.int_], now_s: float) -> Around:
+    def _around(self, rows: NDArray[np.int_], columns: Sequence[Column], now_s: float) -> Around:
         """Return what is kept away from beside the round's own setpoints."""
-        unsent = np.ones(len(self._told), dtype=bool)
+        unsent, places = self._fleet.armed, self._fleet.positions_enu_m(now_s)
         unsent[rows] = False
-        places = self._fleet.positions_enu_m(now_s)
-        points = [
-            (*places[row], self._apart_m)
-            for row in np.flatnonzero(unsent).tolist()
-            if self._fleet.vehicles[row].armed and np.isfinite(places[row]).all()
-        ]
-        columns = self._kept_clear()
+        unsent &= np.isfinite(places).all(axis=1)
+        points = [(*place, self._apart_m) for place in places[unsent].tolist()]
         points += [(*column.place_enu_m, self._clear_m) for column in columns if column.place_enu_m is not None]
         lines = [
             (*column.start_enu_m, *column.end_enu_m, column.top_m + self._clear_m, column.radius_m + self._clear_m)
