@@ -30,10 +30,15 @@ def test_the_nearest_point_is_that_of_a_quadratic_program(seed: int) -> None:
     assert nearest(point, normals, offsets, centre, radius, out)
     assert (normals @ out >= offsets - 1e-6).all()
     assert np.linalg.norm(out - centre) <= radius + 1e-9
-    ball = NonlinearConstraint(lambda x: float(((x - centre) ** 2).sum()), -np.inf, radius**2)
+
+    def square(x: Array, other: Array) -> float:
+        return float(((x - other) ** 2).sum())
+
+    ball = NonlinearConstraint(lambda x: [square(x, centre)], -np.inf, radius**2)
     theirs = minimize(
-        lambda x: float(((x - point) ** 2).sum()),
+        square,
         centre,
+        args=(point,),
         method="SLSQP",
         constraints=[LinearConstraint(normals, offsets), ball],
         options={"ftol": 1e-12, "maxiter": 300},

@@ -96,7 +96,8 @@ def test_what_leaves_is_finite_goes_on_is_inside_and_apart(seed: int, count: int
             wanted[random.integers(count), random.integers(10)] = random.choice((np.nan, np.inf, -1e9))
         passed = gate.passed(rows, wanted, now_s)
         left = passed.numbers
-        assert (left.shape, np.isfinite(left).all()) == ((count, 10), True)
+        assert left.shape == (count, 10)
+        assert np.isfinite(left).all()
         _goes_on(before, left, dt_s)
         assert FENCE.excess_m(left[:, :3]).max() <= FENCE_M + 1e-5
         assert pdist(left[:, :3]).min() >= APART - SEPARATION_M - 1e-5
