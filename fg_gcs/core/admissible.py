@@ -115,7 +115,7 @@ def near_pairs(
     """
     n = len(wanted)
     slack_m = max(1.0, 0.5 * bounds[APART])
-    speed = _relative_speed(wanted) + 1.0
+    speed = relative_speed(wanted) + 1.0
     radius = bounds[APART] + speed * speed / (4.0 * bounds[ACCELERATION]) + slack_m
     count = 0
     for first in range(n):
@@ -137,7 +137,7 @@ def near_pairs(
 
 
 @kernel
-def _relative_speed(wanted: Array) -> float:
+def relative_speed(wanted: Array) -> float:
     """Twice the greatest difference of a velocity from their mean: no two differ by more [m/s]."""
     n, counted = len(wanted), 0
     x = y = z = 0.0
@@ -157,7 +157,7 @@ def _relative_speed(wanted: Array) -> float:
 def _is_outrun(wanted: Array, built: Array) -> bool:
     """Say whether vehicles may have come near that were far apart: moving together brings none nearer."""
     n, counted = len(wanted), 0
-    if len(built) != n + 1 or _relative_speed(wanted) > built[n, 1]:
+    if len(built) != n + 1 or relative_speed(wanted) > built[n, 1]:
         return True
     x = y = z = 0.0
     for k in range(n):

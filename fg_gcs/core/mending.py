@@ -33,6 +33,7 @@ from fg_gcs.core.admissible import (
     near_pairs,
     nearest_on,
     note,
+    relative_speed,
 )
 from fg_gcs.core.arrays import Array
 
@@ -126,8 +127,12 @@ def _judge_all(
     for k in range(n):
         codes[k] = alone(wanted[k], told[rows[k]], now_s, bounds)
         codes[k] |= around(wanted[k], told[rows[k]], bounds, points, columns)
+    reach = bounds[APART] + relative_speed(wanted) ** 2 / (4.0 * bounds[ACCELERATION])
+    reach2 = reach * reach
     for i in range(n):
         for j in range(i + 1, n):
+            if _square(wanted[i], wanted[j]) > reach2:
+                continue
             if is_near(wanted[i], told[rows[i]], wanted[j], told[rows[j]], bounds):
                 d = math.sqrt(_square(wanted[i], wanted[j]))
                 for k, other in ((i, j), (j, i)):
