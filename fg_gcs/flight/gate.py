@@ -8,12 +8,13 @@ A setpoint leaves as it is if
   A vehicle that nothing has left for within 0.5 s, or that stands below the floor, takes off: its setpoint is at most
   1 m away horizontally, and above;
 - it is inside the fence, or no farther outside than the one before, and no faster towards it than braking by a allows:
-  ``v <= sqrt(2 a d) + 0.1 m/s``;
+  ``v <= sqrt(2 a d) + 0.02 m/s`` for a distance d;
 - it is no nearer than the minimum to any other setpoint of the round, or, of a pair that is nearer already, no nearer
-  than before, and the two come together no faster than ``sqrt(2 (2 a + w^2 / s) (D - s))`` for a distance D, the
-  minimum s and a speed w across: whoever is faster breaks the minimum whatever it does, so that no verified plan is.
-  Likewise to where vehicles are reported that get no setpoints, and to what is kept clear (`Custody.kept_clear`), there
-  by the least clearance that ways home are planned with.
+  than before, and the minimum is kept while both brake along their relative velocity w, over ``w^2 / (2 2 a)``, see
+  `core.admissible.fastest`. Who flies straight at each other and is faster breaks the minimum whatever the limits let
+  it do, and who passes on straight lines may be as fast as it likes, so that verified plans pass. Likewise to where
+  vehicles are reported that get no setpoints, and to what is kept clear (`Custody.kept_clear`), there by the least
+  clearance that ways home are planned with.
 
 What does not pass becomes the nearest setpoint that does (`core.mending.nearest`); that of a pair of which both come
 nearer, each by its share. If the position would change by more than 0.5 m, or if there is none, the vehicle is braked:
