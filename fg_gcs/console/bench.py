@@ -114,12 +114,12 @@ def _show_streams(made: StreamBench) -> None:
     columns = (
         *(Column("vehicles", 0), Column("rate [Hz]", 0), Column("networks", 0), Column("telemetry [Hz]", 0)),
         *(Column("of a core [%]", 1), Column("late p99 [ms]"), Column("worst [ms]"), Column("left out", 0)),
-        Column("memory [MB]", 0),
+        *(Column("memory [MB]", 0), Column("gate [us]", 2)),
     )
     rows = tuple(
         (
             *(each.vehicles, each.rate_hz, each.networks, each.position_hz, 100.0 * each.core),
-            *(each.late_p99_ms, each.late_worst_ms, each.late_ticks, each.memory_mb),
+            *(each.late_p99_ms, each.late_worst_ms, each.late_ticks, each.memory_mb, each.gate_us),
         )
         for each in (*made.streams, made.many)
     )

@@ -190,6 +190,12 @@ def _add_trial(commands: Commands) -> None:
     trial.add_argument(
         "--dynamics", action="append", choices=("paper", "measured"), help="repeat for more (default: paper)"
     )
+    trial.add_argument(
+        "--faults",
+        type=_count,
+        metavar="N",
+        help="in each flight; 0: none, and the last gate must never act (default: 1 or 2)",
+    )
     trial.add_argument("--json", action="store_true", help="print one JSON object on stdout")
 
 

@@ -30,6 +30,7 @@ class Wish(NamedTuple):
     missions: tuple[Path, ...]
     autopilots: tuple[str, ...]
     dynamics: tuple[str, ...]
+    faults: int | None = None  # how many in each flight; None: one or two
 
 
 class Outcome(NamedTuple):
@@ -52,7 +53,7 @@ def run(chosen: argparse.Namespace) -> ExitCode:
         MissionError: a mission is missing or wrong.
     """
     autopilots, dynamics = chosen.autopilot or ("px4", "ardupilot"), chosen.dynamics or ("paper",)
-    wish = Wish(tuple(chosen.missions), tuple(autopilots), tuple(dynamics))
+    wish = Wish(tuple(chosen.missions), tuple(autopilots), tuple(dynamics), chosen.faults)
     alone = chosen.single is not None
     for path in wish.missions:
         prepare(load_mission(path))
@@ -101,6 +102,7 @@ def _tell(console: Console, outcome: Outcome, wish: Wish, *, whole: bool) -> Non
     else:
         names = [str(path) for path in wish.missions]
         more = [f"--autopilot={each}" for each in wish.autopilots] + [f"--dynamics={each}" for each in wish.dynamics]
+        more += [] if wish.faults is None else [f"--faults={wish.faults}"]
         again = shlex.join(["fg-gcs", "trial", *names, *more, "--only", str(outcome.seed)])
         console.print(escape(f"  again: {again}"), style="dim", soft_wrap=True)
 
@@ -119,7 +121,7 @@ def _outcomes(wish: Wish, seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
 def outcome_of(wish: Wish, seed: int) -> Outcome:
     """Fly one seed."""
     missions = [load_mission(path) for path in wish.missions]
-    trial = trial_of(seed, missions, wish.autopilots, wish.dynamics)
+    trial = trial_of(seed, missions, wish.autopilots, wish.dynamics, wish.faults)
     found = judge(trial)
     result = found.result
     return Outcome(

@@ -29,6 +29,7 @@ LARGE: Final = 250
 RATIO: Final = 2.0  # of a setpoint's time from array to socket to the bare loop's, in a large swarm
 TELEMETRY_US: Final = 15.0
 CORE: Final = 0.08  # of 250 vehicles at 50 Hz without telemetry
+GATE_US: Final = 3.0  # of a setpoint through the last gate, whatever the swarm
 MANY_CORE: Final = 0.5  # of 1000 vehicles
 MANY_LATE_MS: Final = 10.0
 MANY_MEMORY_MB: Final = 300.0
@@ -92,6 +93,9 @@ class StreamBench(NamedTuple):
             at_most("telemetry message read into state and recorded [us]", TELEMETRY_US, self.telemetry_us),
             at_most(f"{largest.vehicles} vehicles at {largest.rate_hz:g} Hz [of a core]", CORE, largest.core),
             at_most(f"{many.vehicles} vehicles at {many.rate_hz:g} Hz [of a core]", MANY_CORE, many.core),
+            at_most(
+                "setpoint through the last gate [us]", GATE_US, max(each.gate_us for each in (*self.streams, many))
+            ),
             at_most("their p99 lateness [ms]", MANY_LATE_MS, many.late_p99_ms),
             at_most("memory with them [MB]", MANY_MEMORY_MB, many.memory_mb),
             at_most("setpoints at vehicles that they are not for", 0.0, float(wrong)),

@@ -15,24 +15,30 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.core.separation import Fence
 from fg_gcs.errors import LinkError
 from fg_gcs.experiment.bare_process import bare_vehicles, free_ports
 from fg_gcs.experiment.baselines.ground_stations import HEAR_S, Mavutil, Numbers
 from fg_gcs.experiment.memory_bench import memory_mb
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.garbage import short_collections
+from fg_gcs.flight.gate import Gate
 from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.motions import SwarmSetpoint
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.router import Router, Routes
+from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.bare import boot_frames
 from fg_gcs.wire.setpoint import SetpointRound
 
 FLUSH_S: Final = 0.2  # as a flight does it
 MOST_IDS: Final = 250  # of a network
+SETPOINTS_HZ: Final = 50.0
+GATE_ROUNDS: Final = 200
+ANYWHERE: Final = Rules(Limits(8.0, 4.0), 1.5, Fence((-1e5, -1e5, -1e5), (1e5, 1e5, 1e5)))
 BATCH: Final = 60  # messages that wait when reading begins: what the system keeps at least
 
 
@@ -51,6 +57,7 @@ class Streaming(NamedTuple):
     right: int  # setpoints that reached the vehicle that they are for
     wrong: int  # setpoints that reached another one
     sent: int
+    gate_us: float  # of a setpoint through the last gate
 
 
 class Circles:
@@ -69,8 +76,8 @@ class Circles:
         self._places = places_enu_m
 
     def at(self, now_s: float) -> SwarmSetpoint:
-        """Return a point on each circle, of 1 m at 1 rad/s."""
-        along = np.array((math.cos(now_s), math.sin(now_s), 0.0))
+        """Return a point on each circle, of half a metre at 1 rad/s."""
+        along = 0.5 * np.array((math.cos(now_s), math.sin(now_s), 0.0))
         velocity, acceleration = np.empty_like(self._places), np.empty_like(self._places)
         velocity[:], acceleration[:] = (-along[1], along[0], 0.0), -along
         return SwarmSetpoint(self._places + along, velocity, acceleration, np.full(len(velocity), now_s % math.pi))
@@ -156,7 +163,7 @@ async def stream(count: int, rate_hz: float, networks: int, position_hz: float, 
             with bare_vehicles(remotes, max(position_hz, 1.0)) as vehicles, short_collections():
                 await station.hear(range(count))
                 vehicles.set_position_hz(position_hz)
-                streamer = Streamer(station.fleet, station.recorder, rate_hz)
+                streamer = Streamer(station.fleet, station.recorder, rate_hz, Gate(station.fleet, ANYWHERE))
                 streamer.motion = Circles(station.fleet.positions_enu_m())
                 streamer.engage(streamer.motion.rows)
                 tasks = [asyncio.create_task(each) for each in (station.router.keep_alive(), station.flush())]
@@ -187,9 +194,27 @@ async def stream(count: int, rate_hz: float, networks: int, position_hz: float, 
                 right,
                 wrong,
                 sent,
+                gate_us(station.fleet),
             )
         finally:
             station.close()
+
+
+def gate_us(fleet: Fleet) -> float:
+    """Return what the last gate takes for a setpoint of a swarm of which each flies its own circle [us]."""
+    gate, rows, places = Gate(fleet, ANYWHERE), np.arange(len(fleet.vehicles)), fleet.positions_enu_m()
+    phases, radius_m, taken_s = 2.4 * fleet.system_ids, 0.4, list[float]()
+    for turn in range(GATE_ROUNDS):
+        angle = phases + turn / SETPOINTS_HZ
+        along = radius_m * np.stack((np.cos(angle), np.sin(angle), np.zeros(len(rows))), axis=1)
+        across = radius_m * np.stack((-np.sin(angle), np.cos(angle), np.zeros(len(rows))), axis=1)
+        numbers = np.column_stack((places + along, across, -along, np.zeros(len(rows))))
+        began_s = time.perf_counter()
+        gate.passed(rows, numbers, turn / SETPOINTS_HZ)
+        taken_s.append(time.perf_counter() - began_s)
+    if gate.counts.total:
+        raise RuntimeError(f"setpoints that nothing is wrong with do not pass: {gate.counts}")
+    return 1e6 * median(taken_s) / len(rows)
 
 
 async def telemetry_us(race_s: float, *, others: bool) -> tuple[float, float | None]:

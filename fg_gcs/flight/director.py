@@ -20,6 +20,7 @@ from fg_gcs.flight.discovery import discover
 from fg_gcs.flight.failsafes import Failsafes
 from fg_gcs.flight.fleet import STEP_S, Fleet
 from fg_gcs.flight.garbage import short_collections
+from fg_gcs.flight.gate import LASTS_S, Gate, GateCounts
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.link_check import unfit_links
 from fg_gcs.flight.link_recorder import LinkRecorder
@@ -90,6 +91,7 @@ class FlightResult:
     not_down: tuple[VehicleAddress, ...] = ()  # those that are not known to be on the ground with their motors off
     died: tuple[str, ...] = ()  # names of tasks of this program that raised or hung, and were started again
     late_ticks: int = 0
+    gate: GateCounts | None = None  # setpoints that did not pass the last gate; None: there was none
     counters: Counters | None = None
     tracking: TrackingSummary | None = None  # of missions with moving targets, once tracking has begun
 
@@ -158,13 +160,9 @@ class Director:
 
     def wanted_enu_m(self, now_s: float) -> Array:
         """Return where the vehicles are told to be, shape (V, 3) [m; ENU]; NaN where nothing is streamed."""
-        fleet, streamer = self.fleet, self.streamer
-        wanted = np.full((0 if fleet is None else len(fleet.vehicles), 3), np.nan)
-        if streamer is not None and streamer.motion is not None:
-            engaged = [row for row in streamer.motion.rows if streamer.engaged(row)]
-            places = [place for place, row in enumerate(streamer.motion.rows) if streamer.engaged(row)]
-            wanted[engaged] = streamer.motion.at(now_s).position_m[places]
-        return wanted
+        if self.streamer is None:
+            return np.full((0 if self.fleet is None else len(self.fleet.vehicles), 3), np.nan)
+        return self.streamer.gate.told(now_s)[0]
 
     async def fly(self) -> FlightResult:
         """Fly the mission; returns with every vehicle that still obeys on the ground.
@@ -238,6 +236,7 @@ class Director:
             for flight in flights:
                 await self._bring_down(flight)
                 self.result.late_ticks = flight.context.streamer.late_ticks
+                self.result.gate = flight.context.streamer.gate.counts
             self._count()
             for failsafe in failsafes:
                 await self._put_back(failsafe)
@@ -253,6 +252,15 @@ class Director:
         text = f"this program stood still for {seconds:.1f} s"
         self.journal.event("fault", text, fault=FaultKind.STALL.value, vehicles=[], value=seconds)
         self._report(Fault(FaultKind.STALL, (), text, self.journal.time(), seconds))
+
+    def _gated(self, vehicles: tuple[VehicleAddress, ...]) -> None:
+        """Say that a motion does not pass the gate; all come to rest, and go home from there."""
+        if self.target_follower is not None:
+            self.target_follower.close()
+        text = f"setpoints of {vehicles_named(vehicles)} have not passed the last gate for {LASTS_S:g} s"
+        labels = [vehicle.label for vehicle in vehicles]
+        self.journal.event("fault", text, fault=FaultKind.GATE.value, vehicles=labels, value=LASTS_S)
+        self._report(Fault(FaultKind.GATE, vehicles, text, self.journal.time(), LASTS_S))
 
     def _decide(self, response: Response, text: str) -> None:
         rung = self._rung if self._decision is None else self._decision.response.rung
@@ -331,7 +339,8 @@ class Director:
         """Put together what flies a plan; of a moving target its sources are open then."""
         tops_enu_m = plan.gather.sample(np.zeros(1)).position_m[0]
         custody = self._custody = Custody(fleet, tops_enu_m * (1.0, 1.0, 0.0), self.journal.time)
-        streamer = Streamer(fleet, self.journal.recorder, self.mission.stream.rate_hz)
+        gate = Gate(fleet, task.rules, lambda: custody.kept_clear)
+        streamer = Streamer(fleet, self.journal.recorder, self.mission.stream.rate_hz, gate)
         context = Context(fleet, self.mission, task, tops_enu_m, streamer, custody, self.journal)
         descents = Descents(fleet, streamer, custody, self.journal, self.mission.faults.taken_wait_s)
         if self.mission.targets is not None:
@@ -348,6 +357,7 @@ class Director:
         self.streamer = streamer
         streamer.after_round = self._good_moment
         streamer.stalled = self._stalled
+        streamer.gated = self._gated
         again = FaultKind.STREAMER_AGAIN
         supervisor.start(
             Duty("streamer", streamer.run, lambda: streamer.turned_s, STREAMER_DOG_S, FaultKind.STREAMER, again)

@@ -116,6 +116,11 @@ class Fleet:
         ground = state.ground_north_m - north, state.ground_east_m - east, state.ground_down_m - down
         self.states.set_ground(row, *ground)
 
+    @property
+    def armed(self) -> NDArray[np.bool_]:
+        """Whose motors run, by the newest telemetry, shape (V,)."""
+        return np.array([vehicle.armed for vehicle in self.vehicles], dtype=bool)
+
     def located(self, now_s: float) -> Located:
         """Return where all vehicles are at one instant of the loop's time [s], with age and uncertainty."""
         return located(self.states, self.origins_enu_m, now_s)

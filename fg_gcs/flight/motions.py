@@ -68,6 +68,37 @@ class Rest:
         return self._wanted
 
 
+class Braking:
+    """Come to rest straight on from what was sent last, each by the same deceleration, and stay there.
+
+    Args:
+        rows: the fleet's rows that it moves.
+        last: what they were told at the time.
+        begin_s: the time, by the loop's clock [s].
+        deceleration_m_s2: of each [m/s^2].
+    """
+
+    turns_from = None
+
+    def __init__(self, rows: Sequence[int], last: SwarmSetpoint, begin_s: float, deceleration_m_s2: float) -> None:
+        self.rows = rows
+        self._last, self._begin_s = last, begin_s
+        speed = np.linalg.norm(last.velocity_m_s, axis=1)
+        self._lasts_s = speed / deceleration_m_s2
+        self.end_s = begin_s + float(self._lasts_s.max(initial=0.0))
+
+    def at(self, now_s: float) -> SwarmSetpoint:
+        """Return p + v t - a t^2 / 2 until it rests."""
+        position, velocity, _, yaw_rad = self._last
+        passed_s = np.clip(now_s - self._begin_s, 0.0, self._lasts_s)
+        lasts_s = np.maximum(self._lasts_s, np.finfo(float).tiny)
+        left = np.maximum(1.0 - passed_s / lasts_s, 0.0)
+        slower = np.where(left > 0.0, -1.0 / lasts_s, 0.0)
+        slower = np.where(self._lasts_s > 0.0, slower, 0.0)
+        moved = velocity * (0.5 * (1.0 + left) * passed_s)[:, None]
+        return SwarmSetpoint(position + moved, velocity * left[:, None], velocity * slower[:, None], yaw_rad)
+
+
 class Pace(NamedTuple):
     """How fast a plan's time passes: from ``begin_s`` on it changes within ``lasts_s`` to another rate, smoothly.
 

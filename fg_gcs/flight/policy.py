@@ -88,6 +88,7 @@ class FaultKind(Enum):
     STREAMER_AGAIN = "streamer_again"
     BYSTANDER = "bystander"
     STALL = "stall"
+    GATE = "gate"
     PROGRAM = "program"
 
 
@@ -267,6 +268,13 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
             "when it goes on",
             Rung.HOME,
             data="how long",
+        ),
+        FaultKind.GATE: Row(
+            "a motion does not pass the last gate before the wire",
+            "a vehicle's setpoints are changed or braked for 1 s",
+            "at once braked, 1 s until all come to rest",
+            Rung.HOME,
+            data="reasons, counts, by how much and whom it would have met",
         ),
         FaultKind.PROGRAM: Row(
             "an error of this program, anywhere else",

@@ -15,6 +15,7 @@ from fg_gcs.errors import PlanError, VehicleError
 from fg_gcs.flight.custody import Custody
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.fleet import Fleet, until
+from fg_gcs.flight.gate import Gate
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.motions import Follow, Rest
 from fg_gcs.flight.policy import Care, Fault
@@ -50,13 +51,14 @@ class Recovery:
         self._fleet = Fleet(router, vehicles)
         self._rules = rules
         self._journal = journal
-        self._streamer = Streamer(self._fleet, journal.recorder, STREAM_HZ)
+        self._custody = Custody(self._fleet, np.zeros((len(vehicles), 3)), journal.time)
+        gate = Gate(self._fleet, rules, lambda: self._custody.kept_clear)
+        self._streamer = Streamer(self._fleet, journal.recorder, STREAM_HZ, gate)
 
     async def run(self) -> tuple[Vehicle, ...]:
         """Bring them down; return those that are not known to be down."""
-        fleet, vehicles = self._fleet, self._fleet.vehicles
+        fleet, vehicles, custody = self._fleet, self._fleet.vehicles, self._custody
         rows = range(len(vehicles))
-        custody = Custody(fleet, np.zeros((len(vehicles), 3)), self._journal.time)
         custody.asked.update(rows)
         descents = Descents(fleet, self._streamer, custody, self._journal, 0.0)
         async with Supervisor(self._told, self._journal) as supervisor:

@@ -105,6 +105,7 @@ class CounterSnapshot:
     errors: int
     late_ticks: int
     refused: int = 0
+    gated: int = 0  # setpoints that the last gate changed, braked or held back
 
 
 @dataclass(frozen=True, slots=True)

@@ -222,4 +222,5 @@ class SnapshotMaker:
 
     def _counters(self) -> CounterSnapshot:
         streamer, counters = self._director.streamer, self._director.counters
-        return CounterSnapshot(**counters._asdict(), late_ticks=0 if streamer is None else streamer.late_ticks)
+        late, gated = (0, 0) if streamer is None else (streamer.late_ticks, streamer.gate.counts.total)
+        return CounterSnapshot(**counters._asdict(), late_ticks=late, gated=gated)

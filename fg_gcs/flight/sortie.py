@@ -15,7 +15,7 @@ from fg_gcs.errors import VehicleError
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.fleet import STEP_S, until
-from fg_gcs.flight.motions import Beside, Follow, Motion, Rest
+from fg_gcs.flight.motions import Beside, Braking, Follow, Motion, Rest
 from fg_gcs.flight.policy import Rung
 from fg_gcs.flight.target_follower import TargetFollower
 from fg_gcs.link.clock import ticks
@@ -206,6 +206,9 @@ class Sortie:
             self._where_stalled = await self._where_they_are()
             return self._where_stalled
         if isinstance(motion, Rest):
+            return motion
+        if isinstance(motion, Braking):
+            await asyncio.sleep(max(motion.end_s - self._time(), 0.0))
             return motion
         if isinstance(motion, Follow):
             before = self._streamer.motion

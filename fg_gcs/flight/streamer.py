@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import swap_ned_enu
+from fg_gcs.core.mending import BRAKED, CHANGED
 from fg_gcs.flight.fleet import Fleet
-from fg_gcs.flight.motions import Motion, SwarmSetpoint
+from fg_gcs.flight.gate import Change, Gate
+from fg_gcs.flight.motions import Braking, Motion, SwarmSetpoint
 from fg_gcs.flight.yaw_limiter import YawRateLimiter
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Routes
 from fg_gcs.record.write.recorder import Recorder
-from fg_gcs.wire.address import vehicles_named
-from fg_gcs.wire.setpoint import LARGEST, NUMBERS, SetpointRound, all_sendable, sendable
+from fg_gcs.wire.address import VehicleAddress
+from fg_gcs.wire.setpoint import NUMBERS, SetpointRound
 
 STALL_S = 0.4  # without setpoints: PX4 gives up after 1 s, ArduPilot brakes after 3 s, but both run on from the first
 REMEMBERED = 100  # rounds of setpoints: a second or two of them, more than is ever asked for
@@ -55,22 +57,25 @@ class Streamer:
     Attributes:
         motion: what is streamed; None: nothing.
         late_ticks: rounds that were skipped because the loop was busy.
-        refused: setpoints that were not sent because of their numbers; those of the other vehicles were.
         after_round: called with the loop's time [s] after each round of setpoints; must not raise.
         stalled: called with how long nothing was sent [s], instead of a round, when this program stood still: what the
             motion says by then may be metres from where the vehicles are, so that it is dropped.
+        gated: called with vehicles whose setpoints have not passed the gate for a while; the motion is dropped, and all
+            come to rest from what left last.
+        gate: what setpoints pass last.
         period_s: between two rounds [s].
         turned_s: the loop's time of the newest sign of life [s].
     """
 
-    def __init__(self, fleet: Fleet, recorder: Recorder, rate_hz: float) -> None:
-        """Stream at ``rate_hz`` [Hz] as soon as there is a motion and a vehicle is engaged."""
+    def __init__(self, fleet: Fleet, recorder: Recorder, rate_hz: float, gate: Gate) -> None:
+        """Stream at ``rate_hz`` [Hz] through a gate as soon as there is a motion and a vehicle is engaged."""
         self.motion: Motion | None = None
         self.late_ticks = 0
         self.turned_s = -np.inf
-        self.refused = 0
         self.after_round: Callable[[float], None] | None = None
         self.stalled: Callable[[float], None] | None = None
+        self.gated: Callable[[tuple[VehicleAddress, ...]], None] | None = None
+        self.gate = gate
         self._fleet = fleet
         self._recorder = recorder
         self.period_s = 1.0 / rate_hz
@@ -78,7 +83,8 @@ class Streamer:
         self._engaged = np.zeros(len(fleet.vehicles), dtype=bool)
         self._moved: _Moved | None = None
         self._going: _Going | None = None
-        self._told: set[int] = set()  # rows of vehicles whose refused setpoints people know of
+        self._chosen: NDArray[np.int_] | None = None  # rows that are sent to, where others of the motion's are not
+        self._told: set[tuple[int, str]] = set()  # rows of vehicles and why their setpoints do not pass
         self._sent = asyncio.Event()
         self._due_s = -np.inf
         self._rounds_s: deque[float] = deque(maxlen=REMEMBERED)  # when the last ones had left
@@ -150,20 +156,30 @@ class Streamer:
         enu = np.empty((len(moved.rows), NUMBERS))
         enu[:, 0:3], enu[:, 3:6] = wanted.position_m, wanted.velocity_m_s
         enu[:, 6:9], enu[:, 9] = wanted.acceleration_m_s2, wanted.yaw_rad
-        numbers = enu.take(_ENU_TO_NED, axis=1)
+        rows, origins_ned_m = moved.rows, moved.origins_ned_m
+        engaged = self._engaged[rows]
+        if not engaged.all():
+            rows, enu, origins_ned_m = self._only(rows, engaged), enu[engaged], origins_ned_m[engaged]
+        passed = self.gate.passed(rows, enu, now_s)
+        if len(passed.rows) < len(rows):
+            origins_ned_m = swap_ned_enu(self._fleet.origins_enu_m[passed.rows])
+        numbers = passed.numbers.take(_ENU_TO_NED, axis=1)
         numbers *= _NED_SIGNS
-        numbers[:, 0:3] -= moved.origins_ned_m
-        rows, engaged = moved.rows, self._engaged[moved.rows]
-        if not (engaged.all() and all_sendable(numbers)):
-            safe = sendable(numbers)
-            if (engaged & ~safe).any():
-                self._refuse(rows[engaged & ~safe].tolist(), now_s)
-            chosen = np.flatnonzero(engaged & safe)
-            rows, numbers, enu = rows[chosen], numbers[chosen], enu[chosen]
-        going = self._going_to(rows)
+        numbers[:, 0:3] -= origins_ned_m
+        going = self._going_to(passed.rows)
         self._fleet.router.send_all(going.routes, going.setpoints.pack(numbers))
         self._rounds_s.append(asyncio.get_running_loop().time())
-        self._record(going.table, enu, now_s)
+        self._record(going.table, passed.numbers, now_s)
+        if passed.changes:
+            self._tell(passed.changes, now_s)
+            self._brake(motion, now_s)
+
+    def _only(self, rows: NDArray[np.int_], engaged: NDArray[np.bool_]) -> NDArray[np.int_]:
+        """Return the engaged ones; the same array as long as they are the same."""
+        chosen = rows[engaged]
+        if self._chosen is None or not np.array_equal(chosen, self._chosen):
+            self._chosen = chosen
+        return self._chosen
 
     def _moved_by(self, motion: Motion) -> _Moved:
         """Return what of a motion's vehicles is the same in every round."""
@@ -190,15 +206,36 @@ class Streamer:
         table["acceleration_enu_m_s2"], table["yaw_rad"] = enu[:, 6:9], enu[:, 9]
         self._recorder.setpoints.extend(table)
 
-    def _refuse(self, rows: Sequence[int], now_s: float) -> None:
-        """Count setpoints that must not leave, and tell of each vehicle's first."""
-        self.refused += len(rows)
-        new = [row for row in rows if row not in self._told]
-        if new:
-            self._told.update(new)
-            subject = vehicles_named(self._fleet.vehicles[row].address for row in new)
-            text = f"setpoints of {subject} are not finite or beyond {LARGEST:g} and are not sent; the others are"
-            self._recorder.event(now_s, "warning", text)
+    def _tell(self, changes: Sequence[Change], now_s: float) -> None:
+        """Tell of each vehicle's first setpoint that does not pass, once a reason."""
+        vehicles = self._fleet.vehicles
+        for change in changes:
+            new = [reason for reason in change.reasons if (change.row, reason) not in self._told]
+            if not new:
+                continue
+            self._told.update((change.row, reason) for reason in new)
+            near = (
+                "" if change.other < 0 else f": {change.distance_m:.2f} m from vehicle {vehicles[change.other].address}"
+            )
+            text = f"setpoint of vehicle {vehicles[change.row].address} {_done(change)} ({', '.join(new)}){near}"
+            self._recorder.event(
+                now_s,
+                "warning",
+                text,
+                vehicle=vehicles[change.row].address.label,
+                reasons=new,
+                by_m=change.by_m if np.isfinite(change.by_m) else None,
+            )
+
+    def _brake(self, motion: Motion, now_s: float) -> None:
+        """Drop a motion that the gate has not let pass for a while: everybody comes to rest from what left last."""
+        lasting = self.gate.lasting(now_s)
+        if not lasting or self.gated is None:
+            return
+        rows = [row for row in motion.rows if self._engaged[row]]
+        self.motion = Braking(rows, self.gate.last(rows), now_s, self.gate.acceleration_m_s2)
+        self.gate.forgive()
+        self.gated(tuple(self._fleet.vehicles[row].address for row in lasting))
 
     def _turned(self, motion: Motion, wanted: SwarmSetpoint, now_s: float) -> SwarmSetpoint:
         """Return what is wanted with the headings that may be sent; each call counts as sent."""
@@ -208,3 +245,10 @@ class Streamer:
         if self._yaw_limiter is None:
             self._yaw_limiter = YawRateLimiter(motion.turns_from)
         return wanted._replace(yaw_rad=self._yaw_limiter.turn(wanted.yaw_rad, now_s))
+
+
+def _done(change: Change) -> str:
+    """Say what became of a setpoint."""
+    if change.status == CHANGED:
+        return f"changed by {change.by_m:.2f} m"
+    return "braked" if change.status == BRAKED else "held back"

@@ -9,7 +9,6 @@ from typing import Final
 
 import numpy as np
 
-from fg_gcs.core.arrays import Array
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.origins import OriginWatch
@@ -105,14 +104,10 @@ class Watch:
             self._report(fault)
 
     def _picture(self, rows: list[int], now_s: float) -> Picture:
-        fleet, motion = self._context.fleet, self._context.streamer.motion
-        told: Array = np.full((len(fleet.vehicles), 3), np.nan)
+        fleet = self._context.fleet
+        told, velocity = self._context.streamer.gate.told(now_s)
         self._told_speed_m_s *= math.exp(-WATCH_S / FORGETS_S)
-        if motion is not None:
-            wanted, moved = motion.at(now_s), np.asarray(motion.rows)
-            told[moved] = wanted.position_m
-            speeds = np.linalg.norm(wanted.velocity_m_s, axis=1)
-            self._told_speed_m_s[moved] = np.maximum(self._told_speed_m_s[moved], speeds)
+        self._told_speed_m_s = np.fmax(self._told_speed_m_s, np.linalg.norm(velocity, axis=1))  # NaN: told nothing
         return Picture(fleet.vehicles, rows, fleet.located(now_s), told, self._told_speed_m_s, now_s)
 
     def _confirmed(self, found: list[Finding], now_s: float) -> list[Finding]:

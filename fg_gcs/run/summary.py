@@ -69,6 +69,7 @@ def summary_of(mission: Mission, result: FlightResult, recorder: Recorder, reaso
     summary |= _tracking_keys(result, recorder)
     summary |= {
         "late_ticks": result.late_ticks,
+        "gate": {} if result.gate is None else result.gate._asdict(),
         "lost": [vehicle.label for vehicle in result.lost],
         "tasks_died": list(result.died),
         "vehicles_not_down": [vehicle.label for vehicle in result.not_down],

@@ -74,6 +74,11 @@ class Trial:
         return "; ".join(parts)
 
     @property
+    def faultless(self) -> bool:
+        """Whether nothing goes wrong."""
+        return not (self.faults or self.impairments or self.stops)
+
+    @property
     def unhearing(self) -> frozenset[int]:
         """System ids of vehicles that at some time cannot hear us, or need not do as told."""
         everybody = tuple(range(1, self.mission.swarm.vehicles + 1))
@@ -196,6 +201,9 @@ class _Judge(Observer):
             found.broken.append(f"completed, though {simulator.fleet.incidents.found[0]}")
         if result is not None and result.outcome is Outcome.FAILED:
             found.broken.append(f"an error of this program: {result.error!r}")
+        gate = None if result is None or result.flight is None else result.flight.gate
+        if self._trial.faultless and gate is not None and gate.total:
+            found.broken.append(f"{gate.total} setpoints did not pass the last gate, though nothing was wrong")
 
 
 async def _judge(trial: Trial, fault_separation_m: float, folder: Path) -> Judgement:

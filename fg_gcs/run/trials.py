@@ -1,4 +1,4 @@
-"""Random trials, each a pure function of its seed: a mission, an autopilot, and one or two things that go wrong."""
+"""Random trials, each a pure function of its seed: a mission, an autopilot, and what goes wrong."""
 
 from __future__ import annotations
 
@@ -21,7 +21,13 @@ MOST_AFTER_S: Final = 4.0  # after a stage has begun something goes wrong
 AFTER_EACH_OTHER_S: Final = 1.0  # two things that go wrong
 
 
-def trial_of(seed: int, missions: Sequence[Mission], autopilots: Sequence[str], dynamics: Sequence[str]) -> Trial:
+def trial_of(
+    seed: int,
+    missions: Sequence[Mission],
+    autopilots: Sequence[str],
+    dynamics: Sequence[str],
+    faults_each: int | None = None,
+) -> Trial:
     """Return the trial of a seed.
 
     Args:
@@ -29,6 +35,7 @@ def trial_of(seed: int, missions: Sequence[Mission], autopilots: Sequence[str], 
         missions: of which one is flown.
         autopilots: of which the simulator plays one.
         dynamics: of which vehicles fly by one.
+        faults_each: how many things go wrong; None: one or two.
     """
     draw = np.random.default_rng([seed, 0x7A1A1])
     mission = missions[int(draw.integers(len(missions)))]
@@ -40,10 +47,13 @@ def trial_of(seed: int, missions: Sequence[Mission], autopilots: Sequence[str], 
     disk_full: list[tuple[str, float]] = []
     stage = STAGES[int(draw.integers(len(STAGES)))]
     at_s = float(np.round(draw.uniform(0.0, MOST_AFTER_S), 2))
-    for _ in range(1 + int(draw.integers(2))):
+    for _ in range(1 + int(draw.integers(2)) if faults_each is None else faults_each):
         kind = list(WRONGS)[int(draw.integers(len(WRONGS)))]
         WRONGS[kind](_Making(draw, mission, autopilot, stage, at_s, faults, impairments, stops, disk_full))
         at_s = float(np.round(at_s + draw.uniform(0.0, AFTER_EACH_OTHER_S), 2))
+    if faults_each == 0:  # nothing but the world itself differs
+        simulator = mission.simulator.model_copy(update={"seed": seed})
+        mission = mission.model_copy(update={"simulator": simulator})
     return Trial(mission, autopilot, chosen, tuple(faults), tuple(impairments), tuple(stops), tuple(disk_full))
 
 

@@ -14,7 +14,6 @@ from pymavlink.dialects.v20 import all as dialect
 from fg_gcs.wire.framing import CHECKSUM_BYTES, HEADER_BYTES, Frames, Round, Sender, id_bytes
 
 NUMBERS: Final = 10  # of one setpoint: position [m], velocity [m/s], acceleration [m/s^2], each NED, and yaw [rad]
-LARGEST: Final = 1e6  # m, m/s, m/s^2, rad: ArduCopter flies to 1e6 m and dies of 1e9 m; no flight of ours comes near
 TYPE_MASK: Final[int] = dialect.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE  # 0x800: everything counts but yaw rate
 
 _KIND: Final = dialect.MAVLink_set_position_target_local_ned_message
@@ -38,24 +37,6 @@ _LAYOUT: Final = np.dtype(
 )
 
 
-def sendable(numbers: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which setpoints may reach an autopilot: NaN and huge values have killed some.
-
-    Args:
-        numbers: Shape (V, `NUMBERS`).
-
-    Returns:
-        Whether all of a setpoint's numbers are finite and none is beyond `LARGEST`, shape (V,).
-    """
-    within: NDArray[np.bool_] = np.abs(numbers) <= LARGEST  # NaN makes it false as infinity does
-    return np.asarray(within.all(axis=1))
-
-
-def all_sendable(numbers: NDArray[np.float64]) -> bool:
-    """Tell whether every setpoint of a round is `sendable`, in a tenth of the time."""
-    return not len(numbers) or bool(np.abs(numbers).max() <= LARGEST)  # one NaN makes the largest NaN
-
-
 class SetpointRound:
     """Packs the setpoints of V vehicles, round by round.
 
@@ -76,7 +57,8 @@ class SetpointRound:
         """Return the frames that stream setpoints to the vehicles' autopilots.
 
         Args:
-            numbers: Those of each setpoint, in the vehicle's own local frame, all of them `sendable`; shape
+            numbers: Those of each setpoint, in the vehicle's own local frame, all of them finite and none beyond
+                `fg_gcs.core.admissible.LARGEST`; shape
                 (V, `NUMBERS`).
 
         Returns:

@@ -29,6 +29,7 @@ def test_the_papers_flights(mission: str, autopilot: str, tmp_path: Path, capsys
     assert flown["peak_speed_m_s"] <= 10.0
     assert flown["peak_acceleration_m_s2"] <= 5.0
     assert flown["flown_flux_metric"] >= 0.99
+    assert flown["gate"] == {"changed": 0, "braked": 0, "held_back": 0, "reasons": {}}
     assert flown["tracking_rms_m"] <= 0.3
     assert flown["tracking_max_m"] <= 1.0
     assert flown["flown_peak_speed_m_s"] <= 10.1

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.formation import Pose, hemisphere
 from fg_gcs.core.separation import Fence
-from fg_gcs.flight.motions import Follow, FormationMotion, Gaze, Headings, Motion, Rest
+from fg_gcs.flight.motions import Braking, Follow, FormationMotion, Gaze, Headings, Motion, Rest, SwarmSetpoint
 from fg_gcs.flight.yaw_limiter import YAW_RATE_RAD_S, YawRateLimiter
 from fg_gcs.plan.flight_plan import Task, compile_flight
 from fg_gcs.plan.limits import Limits, Rules
@@ -128,3 +130,20 @@ def test_a_heading_that_is_no_number_is_forgotten() -> None:
     limiter = YawRateLimiter(Headings(0.0, np.array([0.5, 0.5])))
     assert np.isnan(limiter.turn(np.array([np.nan, 0.6]), 1.0)).tolist() == [True, False]
     assert limiter.turn(np.array([0.7, 0.7]), 2.0) == pytest.approx([0.7, 0.7])
+
+
+@given(seed=st.integers(0, 999), deceleration=st.floats(0.5, 9.0))
+def test_braking_leads_straight_on_and_to_rest(seed: int, deceleration: float) -> None:
+    random = np.random.default_rng(seed)
+    position, velocity, acceleration = random.normal(size=(3, 4, 3))
+    last = SwarmSetpoint(position, velocity, acceleration, random.normal(size=4))
+    last.velocity_m_s[0] = 0.0
+    motion = Braking(range(4), last, 5.0, deceleration)
+    assert all((now == then).all() for now, then in zip(motion.at(5.0)[:2], last[:2], strict=True))
+    for now_s in np.linspace(5.0, motion.end_s + 0.5, 30):
+        before, wanted, after = (motion.at(float(now_s) + step) for step in (-1e-4, 0.0, 1e-4))
+        if now_s > 5.0:
+            slope = (after.position_m - before.position_m) / 2e-4
+            np.testing.assert_allclose(slope, wanted.velocity_m_s, atol=1e-3)
+        assert np.linalg.norm(wanted.acceleration_m_s2, axis=1).max() <= deceleration * (1.0 + 1e-9)
+    assert not motion.at(motion.end_s + 1e-9).velocity_m_s.any()

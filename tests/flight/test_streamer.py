@@ -16,18 +16,22 @@ from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import swap_ned_enu
+from fg_gcs.core.separation import Fence
 from fg_gcs.flight.fleet import Fleet
+from fg_gcs.flight.gate import Gate, GateCounts
 from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.motions import Rest
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.router import Router
+from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.record.write.recorder import EVENTS, TLOG, Recorder
 from fg_gcs.wire.bare import boot_frames
 from fg_gcs.wire.codec import Codec, Frame
 
 PORT, RATE_HZ = 14550, 50.0
+RULES = Rules(Limits(8.0, 4.0), 1.5, Fence((-99.0, -99.0, -9.0), (99.0, 99.0, 99.0)))
 SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
 
 
@@ -58,8 +62,9 @@ class Round:
     events: str
 
 
-def streamed(folder: Path, places_enu_m: Array, released: Sequence[int] = ()) -> Round:
-    count = len(places_enu_m)
+def streamed(folder: Path, places_m: Array, released: Sequence[int] = ()) -> Round:
+    """Let vehicles stay beside where they are, shape (V, 3)."""
+    count = len(places_m)
 
     async def main() -> Round:
         loop = asyncio.get_running_loop()
@@ -75,8 +80,9 @@ def streamed(folder: Path, places_enu_m: Array, released: Sequence[int] = ()) ->
             await asyncio.sleep(0.01)
             fleet = log.fleet = Fleet(router, [router.vehicles[address] for address in sorted(router.vehicles)])
             fleet.learn_frames(None, np.zeros(2))
-            streamer = Streamer(fleet, recorder, RATE_HZ)
-            streamer.motion = Rest(range(count), places_enu_m, np.linspace(-1.0, 1.0, count))
+            streamer = Streamer(fleet, recorder, RATE_HZ, Gate(fleet, RULES))
+            places = fleet.positions_enu_m() + places_m
+            streamer.motion = Rest(range(count), places, np.linspace(-1.0, 1.0, count))
             streamer.engage(range(count))
             streamer.release(released)
             task = asyncio.create_task(streamer.run())
@@ -103,8 +109,9 @@ def _frames(tlog: bytes) -> list[bytes]:
 
 
 def test_what_is_heard_what_is_recorded_and_what_is_wanted_are_the_same(tmp_path: Path) -> None:
-    places = np.arange(12.0).reshape(4, 3)
-    made = streamed(tmp_path, places, released=[2])
+    beside = 0.05 * np.arange(12.0).reshape(4, 3)
+    made = streamed(tmp_path, beside, released=[2])
+    places = made.fleet.positions_enu_m() + beside
     for row, vehicle in enumerate(made.vehicles):
         assert len(vehicle.heard) == (0 if row == 2 else RATE_HZ)
         wanted = swap_ned_enu(places[row] - np.array(made.fleet.frames[row].origin_enu_m))
@@ -122,12 +129,12 @@ def test_what_is_heard_what_is_recorded_and_what_is_wanted_are_the_same(tmp_path
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e9])
 def test_a_setpoint_that_must_not_leave_stops_nobody_elses(bad: float, tmp_path: Path) -> None:
-    places = np.ones((4, 3))
+    places = np.full((4, 3), 0.5)
     places[1, 2] = bad
     made = streamed(tmp_path, places)
     assert [len(vehicle.heard) for vehicle in made.vehicles] == [RATE_HZ, 0, RATE_HZ, RATE_HZ]
-    assert made.streamer.refused == RATE_HZ
-    assert made.events.count("setpoints of vehicle 2 are not finite or beyond 1e+06 and are not sent") == 1
+    assert made.streamer.gate.counts == GateCounts(0, 0, int(RATE_HZ), {"not finite": int(RATE_HZ)})
+    assert made.events.count("setpoint of vehicle 2 held back (not finite)") == 1
     assert not (made.table["system_id"] == 2).any()
 
 

@@ -132,6 +132,8 @@ def test_a_seed_is_a_trial_and_a_trial_is_a_flight() -> None:
     missions = [parse_mission(SMALL)]
     trials = [trial_of(seed, missions, BOTH, ("paper",)) for seed in range(300)]
     assert [trial.text for trial in trials] == [trial_of(n, missions, BOTH, ("paper",)).text for n in range(300)]
+    assert all(trial_of(seed, missions, BOTH, ("paper",), 0).faultless for seed in range(9))
+    assert not any(trial.faultless for trial in trials)
     assert len({trial.text for trial in trials}) > 250
     kinds = {table["kind"] for trial in trials for table in trial.faults}
     assert kinds == {"taken_over", "dead", "battery_low"}

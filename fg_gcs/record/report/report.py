@@ -328,6 +328,7 @@ def _timings(run: EvaluatedRun) -> str:
         ("Positions from each vehicle", _text(telemetry_hz, "Hz", 1)),
         ("Setpoints for the vehicle served worst", _text(run.number("setpoint_rate_hz"), "Hz", 1)),
         ("Rounds of setpoints left out, being late", _text(run.number("late_ticks"), "", 0)),
+        *_gated(run),
         ("MAVLink frames received", _text(run.number("frames_in"), "", 0)),
         ("MAVLink frames sent", _text(run.number("frames_out"), "", 0)),
         ("Bytes that were no MAVLink", _text(run.number("bad_bytes"), "", 0)),
@@ -337,6 +338,14 @@ def _timings(run: EvaluatedRun) -> str:
     stages = [(f"Stage: {band.stage}", f"{band.end_s - band.begin_s:.2f} s") for band in run.bands]
     columns = (table((), [Row(pair) for pair in pairs]) for pairs in (milliseconds + before + stages, traffic))
     return f'<div class="columns">{"".join(f"<div>{column}</div>" for column in columns)}</div>'
+
+
+def _gated(run: EvaluatedRun) -> Iterator[tuple[str, str]]:
+    """Yield a line of what the last gate has done, if anything."""
+    counts = {name: count for name, count in run.summary.table("gate").items() if isinstance(count, int) and count}
+    if counts:
+        done = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+        yield "Setpoints that did not pass the last gate", done
 
 
 def _events(events: Sequence[LoggedEvent]) -> Iterator[Row]:
