@@ -64,7 +64,7 @@ class Failsafes:
                     value = own[failsafe.name]
                     text = f"{failsafe.name} = {failsafe.wanted:g} is left by a run that crashed; it was {value:g}"
                     self._journal.event("failsafe", f"vehicle {vehicle.address}: {text}")
-                if value != failsafe.wanted:
+                if not failsafe.is_safe(value):
                     self._found.setdefault(vehicle, {})[failsafe.name] = value
                     self._set.setdefault(vehicle, {})[failsafe.name] = failsafe.wanted
         self._keep()  # before anything is changed: whatever happens, what was found can be looked up

@@ -101,27 +101,28 @@ class Judgement:
     events: list[str] = field(default_factory=list)
 
 
-def judge(trial: Trial, fault_separation_m: float = 0.5) -> Judgement:
+def judge(trial: Trial) -> Judgement:
     """Fly a trial and return what came of it.
 
     Raises:
         MissionError: a table of it is wrong.
     """
     with tempfile.TemporaryDirectory() as folder, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        return runner.run(_judge(trial, fault_separation_m, Path(folder)))
+        return runner.run(_judge(trial, Path(folder)))
 
 
 class _Judge(Observer):
     """Looks at the truth while the flight is on."""
 
-    def __init__(self, trial: Trial, simulator: Simulator, fault_separation_m: float) -> None:
+    def __init__(self, trial: Trial, simulator: Simulator) -> None:
         self.found = Judgement()
         self._trial, self._simulator = trial, simulator
         rules = trial.mission.task().rules
         ids = trial.mission.swarm.ids()
         deaf = np.isin(ids, sorted(trial.unhearing))
         self._deaf_pairs = deaf[:, None] | deaf[None, :]
-        self._least_m = np.where(self._deaf_pairs, fault_separation_m - SLACK_M, rules.separation_m - NOISE_M)
+        least_m = trial.mission.limits.fault_least_m - SLACK_M
+        self._least_m = np.where(self._deaf_pairs, least_m, rules.separation_m - NOISE_M)
         self._worst: dict[tuple[int, int], tuple[float, float, str]] = {}
         self._failsafe: dict[int, float] = {}
         self.director: Director | None = None
@@ -191,11 +192,11 @@ class _Judge(Observer):
             found.broken.append(f"an error of this program: {result.error!r}")
 
 
-async def _judge(trial: Trial, fault_separation_m: float, folder: Path) -> Judgement:
+async def _judge(trial: Trial, folder: Path) -> Judgement:
     wish = wish_of(trial.mission, trial.autopilot, trial.dynamics, trial.faults, trial.impairments)
     simulator = simulator_of(trial.mission, wish, VIRTUAL_PORT)
     await simulator.start()
-    judge_ = _Judge(trial, simulator, fault_separation_m)
+    judge_ = _Judge(trial, simulator)
     options = FlyOptions(
         (f"udpin:127.0.0.1:{VIRTUAL_PORT}",), wait_s=10.0, logs=folder, knows_origin=True, write_report=False
     )

@@ -1,0 +1,45 @@
+"""What is planned for vehicles that stop hearing us: as their autopilots behave, and as soon as the others notice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from fg_gcs.flight.fleet import STEP_S, Fleet
+from fg_gcs.flight.safety import OUTAGE_S, SPARE_S, delay_of
+from fg_gcs.flight.watch import WATCH_S
+from fg_gcs.mission.model import Mission
+from fg_gcs.plan.lost_link import LostLink, LostLinkRule, Reaction
+from fg_gcs.wire.autopilots import AutopilotProfile
+
+PLANNED_S: Final = 0.3  # until a way home is planned
+
+
+def expected_rule(mission: Mission, profile: AutopilotProfile) -> LostLinkRule:
+    """Return the rule for vehicles that are not there yet, on links without delay.
+
+    Args:
+        mission: what is flown.
+        profile: the vehicles' autopilot.
+    """
+    return _rule(mission, [profile.lost_link], 0.0)
+
+
+def rule_of(mission: Mission, fleet: Fleet) -> LostLinkRule:
+    """Return the rule for a fleet, by its vehicles' own time-outs and the delays of their links.
+
+    Args:
+        mission: what is flown.
+        fleet: its vehicles, their parameters read and set.
+    """
+    delay_s = max(map(delay_of, fleet.vehicles))
+    behaviours = (v.profile.lost_link._replace(timeout_s=v.stream_timeout_s) for v in fleet.vehicles)
+    return _rule(mission, sorted(set(behaviours)), delay_s)
+
+
+def _rule(mission: Mission, behaviours: Iterable[LostLink], delay_s: float) -> LostLinkRule:
+    known = tuple(behaviours)
+    notice_s = mission.faults.silent_s + WATCH_S + STEP_S + 2.0 * delay_s  # what it hears last has been under way, too
+    waits_s = max(OUTAGE_S, *(behaviour.timeout_s + SPARE_S for behaviour in known))
+    reaction = Reaction(notice_s, waits_s + PLANNED_S + delay_s)
+    return LostLinkRule(mission.limits.fault_least_m, mission.limits.fault_remedy, known, reaction)
