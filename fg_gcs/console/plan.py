@@ -51,7 +51,7 @@ def check(paths: Sequence[Path]) -> ExitCode:
             print(error, file=sys.stderr)
             bad = True
         else:
-            print(f"{path}: good; {planned.in_fault}", file=sys.stderr)
+            print("\n  ".join((f"{path}: good", *planned.in_fault)), file=sys.stderr)
     return ExitCode.BAD_INPUT if bad else ExitCode.DONE
 
 
@@ -92,7 +92,7 @@ def _words(planned: PlannedMission) -> str:
             f"at most {made.peaks.speed_m_s:.2f} m/s and {made.peaks.acceleration_m_s2:.2f} m/s^2",
             f"  separation  {made.separation.distance_m:.2f} m at least (vehicles {pair[0]} and {pair[1]}), "
             "on the whole flight",
-            f"  in faults   {planned.in_fault}",
+            *(f"  in faults   {line}" for line in planned.in_fault),
             f"  planned in  {1e3 * (made.plan_time_s + made.timing_time_s):.1f} ms",
         )
     )

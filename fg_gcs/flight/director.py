@@ -434,7 +434,8 @@ class Director:
             f"never closer than {plan.separation.distance_m:.2f} m; "
             f"planned in {1e3 * (plan.plan_time_s + plan.timing_time_s):.0f} ms",
         )
-        self.journal.event("plan", fault_words(ids, plan))
+        for line in fault_words(ids, plan):
+            self.journal.event("plan", line)
         return plan
 
     @property

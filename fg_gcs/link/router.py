@@ -287,6 +287,10 @@ class Router:
                     self._watch(vehicle)
                 await asyncio.sleep(0.0)
 
+    def ask_for_time(self, addresses: Iterable[VehicleAddress]) -> None:
+        """Send TIMESYNC requests to vehicles: whoever answers hears us."""
+        self._ask_for_time(list(dict.fromkeys(self._routes[each] for each in addresses if each in self._routes)))
+
     def tell_shortages(self) -> None:
         """Tell people of buffers that are too small for the vehicles heard so far; once, when all of them are."""
         vehicles = Counter(peer.wire for peer in self._routes.values())

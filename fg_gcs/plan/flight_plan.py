@@ -16,8 +16,8 @@ from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
-from fg_gcs.plan.lost_link import Kept, LostLinkRule, Nearest, keeping_apart, too_near
-from fg_gcs.plan.rules import Peaks, too_close
+from fg_gcs.plan.lost_link import DEAD, Kept, LostLinkRule, Nearest, keeping_apart, nearest, too_near
+from fg_gcs.plan.rules import Peaks
 from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import Trajectory, timed
 from fg_gcs.plan.transit import gather
@@ -61,6 +61,7 @@ class FaultFigures(NamedTuple):
     """How near vehicles come in one part of a flight when one stops hearing us, and what was done about it."""
 
     nearest: Nearest
+    fall: Nearest  # likewise if it falls instead: nothing that a plan does about that, but how the formation stands
     slower: float  # how many times longer the part takes for it
 
 
@@ -103,6 +104,11 @@ class FlightPlan:
     def nearest_in_fault(self) -> tuple[str, Nearest]:
         """In which part vehicles come nearest when one of them stops hearing us, and how near."""
         return min(((name, each.nearest) for name, each in self.faults.items()), key=lambda part: part[1])
+
+    @property
+    def nearest_fall(self) -> tuple[str, Nearest]:
+        """In which part a vehicle that falls comes nearest to another one, and how near."""
+        return min(((name, each.fall) for name, each in self.faults.items()), key=lambda part: part[1])
 
     @property
     def peaks(self) -> Peaks:
@@ -174,9 +180,11 @@ def _verified(pieces: Sequence[Trajectory], task: Task) -> tuple[CheckedPlan, Fa
     if rule is None:
         return check(pieces, task.rules, task.target_enu_m), None
     kept: Kept = keeping_apart(pieces, task.rules, task.target_enu_m, rule)
-    if too_close(kept.nearest.distance_m, rule.least_m):
+    if not rule.is_kept(kept.nearest):
         raise PlanError(too_near(kept.nearest, rule))
-    return kept.plan, FaultFigures(kept.nearest, kept.plan.duration_s / sum(piece.duration_s for piece in pieces))
+    fall = min(nearest(kept.plan, [DEAD], rule.reaction))
+    slower = kept.plan.duration_s / sum(piece.duration_s for piece in pieces)
+    return kept.plan, FaultFigures(kept.nearest, fall, slower)
 
 
 def _figures(task: Task, iterates: int, approach: CheckedPlan, rim: Indices) -> ApproachFigures:
@@ -220,19 +228,26 @@ def plan_figures(system_ids: Sequence[int | str], made: FlightPlan) -> dict[str,
     }
 
 
-def fault_words(system_ids: Sequence[int | str], made: FlightPlan) -> str:
-    """Return what is known of vehicles that stop hearing us, in one line for people; "" where nothing is."""
+def fault_words(system_ids: Sequence[int | str], made: FlightPlan) -> list[str]:
+    """Return what is known of vehicles that stop hearing us, and of those that fall, in lines for people; or none."""
     if not made.faults or made.task.lost_link is None:
-        return ""
-    stage, found = made.nearest_in_fault
-    first, second = (system_ids[each] for each in found.pair)
+        return []
+    least_m = made.task.lost_link.least_m
+
+    def least(part: tuple[str, Nearest]) -> str:
+        stage, found = part
+        first, second = (system_ids[each] for each in found.pair)
+        return (
+            f"{found.distance_m:.2f} m at least, from vehicle {first} to {second}, if that is {found.heard_s:.1f} s "
+            f"into the {stage}"
+        )
+
     slowed = [f"{name} {each.slower:.2f}" for name, each in made.faults.items() if each.slower > 1.005]
     times = f"; it is flown slower for that: {', '.join(slowed)} times" if slowed else ""
-    return (
-        f"if a vehicle stops hearing us: {found.distance_m:.2f} m at least "
-        f"(minimum {made.task.lost_link.least_m:.2f} m), from vehicle {first} to {second}, if that is "
-        f"{found.heard_s:.1f} s into the {stage}{times}"
-    )
+    lines = [f"if a vehicle stops hearing us: {least(made.nearest_in_fault)} (minimum {least_m:.2f} m){times}"]
+    if made.nearest_fall[1].distance_m < least_m:
+        lines.append(f"if a vehicle falls: {least(made.nearest_fall)}; the formation is not clear below it")
+    return lines
 
 
 def _fault_figures(system_ids: Sequence[int | str], made: FlightPlan) -> dict[str, object]:
@@ -246,5 +261,7 @@ def _fault_figures(system_ids: Sequence[int | str], made: FlightPlan) -> dict[st
         "min_fault_separation_stage": stage,
         "min_fault_separation_heard_s": found.heard_s,
         "min_fault_separation_after_s": found.after_s,
+        "min_fall_separation_m": made.nearest_fall[1].distance_m,
+        "min_fall_separation_pair": [system_ids[each] for each in made.nearest_fall[1].pair],
         "slower_for_faults": {name: figures.slower for name, figures in made.faults.items()},
     }

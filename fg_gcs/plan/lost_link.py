@@ -1,4 +1,4 @@
-"""How near vehicles come when one stops hearing us, at any moment of a plan, and how slowly to fly so that it is enough.
+"""How near vehicles come when one stops hearing us at any moment of a plan, and how slowly to fly so that it is enough.
 
 A vehicle without setpoints does what its autopilot does, see `LostLink`; the others fly on for `Reaction.notice_s`,
 come to rest on their path as :func:`fg_gcs.plan.pace.stopping` says, and stay there until they leave. All of that is
@@ -29,7 +29,10 @@ STEP_S: Final = 0.02  # of the computation: at 10 m/s every 0.2 m, between which
 SAMPLES: Final = 3_000  # of a plan at most: a longer one is slow, and needs fewer a second
 MOMENTS_S: Final = 0.1  # between two moments at which a vehicle stops hearing us
 MOMENTS: Final = 300  # at most, likewise
-SINK_M_S: Final = 1.5  # fastest landing of both autopilots, above 10 m
+SINK_M_S, SLOW_SINK_M_S = 1.5, 0.7  # speeds of a landing above HIGH_M and below LOW_M; ArduPilot's are no higher
+HIGH_M, LOW_M = 10.0, 5.0  # above the ground; in between PX4 changes from one to the other
+GRAVITY_M_S2: Final = 9.81
+SPARE_M: Final = 0.1  # that is planned on top of the least distance: vehicles are off their setpoints
 VELOCITY_GAIN_PER_S: Final = 3.0  # how quickly a multicopter takes up a velocity: 1.8 to 4 in both autopilots
 SLOWER: Final = 1.3  # between two factors that are tried
 FINER: Final = 3  # halvings after that: to within 4 %
@@ -46,6 +49,7 @@ class LostLink(NamedTuple):
         lands: whether it lands after the time-out, as soon as it has braked; otherwise it stays at the place.
         brakes_m_s2: by what it corrects its motion at most, and brakes [m/s^2].
         gains_per_s: of positions, the least and the greatest that are known; both are computed [1/s].
+        falls: whether it falls instead, as one does whose autopilot is dead.
     """
 
     timeout_s: float
@@ -53,6 +57,10 @@ class LostLink(NamedTuple):
     lands: bool
     brakes_m_s2: float
     gains_per_s: tuple[float, ...]
+    falls: bool = False
+
+
+DEAD: Final = LostLink(0.0, runs_on=False, lands=False, brakes_m_s2=0.0, gains_per_s=(0.0,), falls=True)
 
 
 class Reaction(NamedTuple):
@@ -93,6 +101,10 @@ class LostLinkRule:
     behaviours: tuple[LostLink, ...]
     reaction: Reaction
 
+    def is_kept(self, found: Nearest) -> bool:
+        """Say whether vehicles that come so near are far enough from each other."""
+        return not too_close(found.distance_m, self.least_m + SPARE_M)
+
 
 class Kept(NamedTuple):
     """A plan, and how near vehicles come in it when one stops hearing us."""
@@ -131,7 +143,8 @@ def nearest(plan: CheckedPlan, behaviours: Sequence[LostLink], reaction: Reactio
                 stride,
                 piece_of,
                 (plan.limits.acceleration_m_s2, plan.limits.jerk_m_s3),
-                (behaviour.timeout_s, behaviour.runs_on, behaviour.lands, behaviour.brakes_m_s2, gain_per_s),
+                (behaviour.timeout_s, behaviour.runs_on, behaviour.lands, behaviour.falls),
+                (behaviour.brakes_m_s2, gain_per_s),
                 (reaction.notice_s, reaction.leaves_s),
                 best,
             )
@@ -182,7 +195,7 @@ def keeping_apart(
 
 def _bad(found: Sequence[Nearest], rule: LostLinkRule) -> NDArray[np.bool_]:
     """Say in which pieces vehicles come too near."""
-    return np.array([too_close(one.distance_m, rule.least_m) for one in found])
+    return np.array([not rule.is_kept(one) for one in found])
 
 
 def too_near(worst: Nearest, rule: LostLinkRule) -> str:
@@ -195,7 +208,7 @@ def too_near(worst: Nearest, rule: LostLinkRule) -> str:
     return (
         f"if vehicle {first + 1} stops hearing us at t={worst.heard_s:.1f} s, it and vehicle {second + 1} come within "
         f"{worst.distance_m:.2f} m of each other {worst.after_s:.1f} s later, at {where} "
-        f"(minimum {rule.least_m:.2f} m, [limits] fault_separation_m); {helps}"
+        f"(minimum {rule.least_m:.2f} m, [limits] fault_separation_m, and {SPARE_M:g} m to spare); {helps}"
     )
 
 
@@ -205,11 +218,13 @@ def _deaf(
     velocity: Array,
     acceleration: Array,
     step: float,
-    behaviour: tuple[float, bool, bool, float, float],
+    behaviour: tuple[float, bool, bool, bool],
+    loop: tuple[float, float],
     way: Array,
 ) -> None:
     """Fill the way of a vehicle that has heard its last setpoint, shape (S, 3), see `LostLink`."""
-    timeout, runs_on, lands, brakes, gain = behaviour
+    timeout, runs_on, lands, falls = behaviour
+    brakes, gain = loop
     x, u = place.copy(), velocity.copy()
     wanted, asked = np.empty(3), np.empty(3)
     for j in range(len(way)):
@@ -220,7 +235,8 @@ def _deaf(
         for k in range(3):
             way[j, k] = x[k]
             if over and lands:
-                wanted[k] = -SINK_M_S if k == 2 else 0.0
+                share = min(max((x[2] - LOW_M) / (HIGH_M - LOW_M), 0.0), 1.0)
+                wanted[k] = -(SLOW_SINK_M_S + share * (SINK_M_S - SLOW_SINK_M_S)) if k == 2 else 0.0
             else:
                 target = place[k] + velocity[k] * run + 0.5 * acceleration[k] * run * run
                 wanted[k] = gain * (target - x[k])
@@ -231,6 +247,8 @@ def _deaf(
         scale = min(1.0, brakes / max(np.sqrt(size), 1e-9))
         for k in range(3):
             a = scale * asked[k] + (0.0 if over else acceleration[k])
+            if falls:
+                a = -GRAVITY_M_S2 if k == 2 else 0.0
             x[k] += u[k] * step + 0.5 * a * step * step
             u[k] += a * step
 
@@ -244,7 +262,8 @@ def _nearest(
     stride: int,
     piece_of: NDArray[np.intp],
     limits: tuple[float, float],
-    behaviour: tuple[float, bool, bool, float, float],
+    behaviour: tuple[float, bool, bool, bool],
+    loop: tuple[float, float],
     reaction: tuple[float, float],
     best: Array,
 ) -> None:
@@ -258,7 +277,8 @@ def _nearest(
         stride: samples between two moments that are looked at.
         piece_of: for which pieces each moment counts, the first and the last of them, shape (2, T).
         limits: of acceleration and jerk.
-        behaviour: see `LostLink`, with one gain.
+        behaviour: see `LostLink`.
+        loop: by what it brakes, and one gain.
         reaction: see `Reaction`.
         best: fields of `Nearest`, one row a piece, shape (P, 8), changed in place.
     """
@@ -268,7 +288,8 @@ def _nearest(
     for i in range(last + 1):
         for v in range(vehicles):
             fastest2 = max(fastest2, velocity[i, v, 0] ** 2 + velocity[i, v, 1] ** 2 + velocity[i, v, 2] ** 2)
-    closing = (2.0 * np.sqrt(fastest2) + 2.0 * SINK_M_S) * 1.2 * STEP_S  # most that a pair nears in a step
+    fall = GRAVITY_M_S2 * leaves if behaviour[3] else 0.0
+    closing = (2.0 * np.sqrt(fastest2) + 2.0 * SINK_M_S + fall) * 1.2 * STEP_S  # most that a pair nears in a step
     moments = (last + stride) // stride + 1
     for moment in range(moments):
         i = min(moment * stride, last)
@@ -277,7 +298,7 @@ def _nearest(
         steps = int(max(notice + lasts, leaves) / STEP_S) + 1
         ways = np.empty((vehicles, steps, 3))
         for v in range(vehicles):
-            _deaf(position[i, v], velocity[i, v], acceleration[i, v], STEP_S, behaviour, ways[v])
+            _deaf(position[i, v], velocity[i, v], acceleration[i, v], STEP_S, behaviour, loop, ways[v])
         where = np.empty(steps)  # in samples of the plan, of those that hear
         for j in range(steps):
             passed = j * STEP_S - notice

@@ -44,8 +44,8 @@ class PlannedMission:
         return [VehicleAddress(name if several and name else MAIN, number).label for name, number in members]
 
     @property
-    def in_fault(self) -> str:
-        """How near vehicles come when one stops hearing us, in one line for people."""
+    def in_fault(self) -> list[str]:
+        """How near vehicles come when one stops hearing us, or falls, in lines for people."""
         return fault_words(self.labels, self.flight)
 
     def draw(self, path: Path) -> None:

@@ -101,28 +101,32 @@ class Judgement:
     events: list[str] = field(default_factory=list)
 
 
-def judge(trial: Trial) -> Judgement:
+def judge(trial: Trial, fault_separation_m: float | None = None) -> Judgement:
     """Fly a trial and return what came of it.
+
+    Args:
+        trial: what is flown, and what goes wrong.
+        fault_separation_m: how near a vehicle that could not hear us may come to others; None: as the mission says [m].
 
     Raises:
         MissionError: a table of it is wrong.
     """
     with tempfile.TemporaryDirectory() as folder, asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
-        return runner.run(_judge(trial, Path(folder)))
+        return runner.run(_judge(trial, fault_separation_m, Path(folder)))
 
 
 class _Judge(Observer):
     """Looks at the truth while the flight is on."""
 
-    def __init__(self, trial: Trial, simulator: Simulator) -> None:
+    def __init__(self, trial: Trial, simulator: Simulator, fault_separation_m: float | None) -> None:
         self.found = Judgement()
         self._trial, self._simulator = trial, simulator
         rules = trial.mission.task().rules
         ids = trial.mission.swarm.ids()
         deaf = np.isin(ids, sorted(trial.unhearing))
         self._deaf_pairs = deaf[:, None] | deaf[None, :]
-        least_m = trial.mission.limits.fault_least_m - SLACK_M
-        self._least_m = np.where(self._deaf_pairs, least_m, rules.separation_m - NOISE_M)
+        least_m = trial.mission.limits.fault_least_m if fault_separation_m is None else fault_separation_m
+        self._least_m = np.where(self._deaf_pairs, least_m - SLACK_M, rules.separation_m - NOISE_M)
         self._worst: dict[tuple[int, int], tuple[float, float, str]] = {}
         self._failsafe: dict[int, float] = {}
         self.director: Director | None = None
@@ -192,11 +196,11 @@ class _Judge(Observer):
             found.broken.append(f"an error of this program: {result.error!r}")
 
 
-async def _judge(trial: Trial, folder: Path) -> Judgement:
+async def _judge(trial: Trial, fault_separation_m: float | None, folder: Path) -> Judgement:
     wish = wish_of(trial.mission, trial.autopilot, trial.dynamics, trial.faults, trial.impairments)
     simulator = simulator_of(trial.mission, wish, VIRTUAL_PORT)
     await simulator.start()
-    judge_ = _Judge(trial, simulator)
+    judge_ = _Judge(trial, simulator, fault_separation_m)
     options = FlyOptions(
         (f"udpin:127.0.0.1:{VIRTUAL_PORT}",), wait_s=10.0, logs=folder, knows_origin=True, write_report=False
     )
