@@ -12,7 +12,7 @@ from fg_gcs.mission.model import Mission
 from fg_gcs.plan.lost_link import LostLink, LostLinkRule, Reaction
 from fg_gcs.wire.autopilots import AutopilotProfile
 
-PLANNED_S: Final = 0.3  # until a way home is planned
+LEFT_S: Final = 0.6  # until a way home is planned, and all have left on it
 
 
 def expected_rule(mission: Mission, profile: AutopilotProfile) -> LostLinkRule:
@@ -44,6 +44,6 @@ def _rule(mission: Mission, behaviours: Iterable[LostLink], noticed_s: float, de
     known = tuple(behaviours)
     waits_s = max(OUTAGE_S, *(behaviour.timeout_s + SPARE_S for behaviour in known))
     late_s = noticed_s - mission.faults.silent_s
-    reaction = Reaction(noticed_s + WATCH_S + STEP_S, waits_s + late_s + delay_s + PLANNED_S)
+    reaction = Reaction(noticed_s + WATCH_S + STEP_S, waits_s + late_s + delay_s + LEFT_S)
     limits = mission.limits
     return LostLinkRule(limits.fault_least_m, limits.fault_remedy, known, reaction)

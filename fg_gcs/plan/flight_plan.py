@@ -26,6 +26,7 @@ from fg_gcs.plan.way_home import plan_home
 
 Indices = NDArray[np.intp]
 
+STAGES = ("gather", "approach", "home")
 WIDER = np.arange(1.1, 3.01, 0.1)  # times its size that a formation is widened to where a mission wants that
 FIGURES_HZ = 100.0  # density of the figures about an approach: every 0.1 m at 10 m/s
 
@@ -152,18 +153,18 @@ def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> 
     path = search(task.formation, task.start, task.target.source, task.hold_depth_m, task.last_scale, rules.fence)
     found = stopwatch()
     into = gather(tops_enu_m, task.formation.place(task.start), rules)
-    there = timed(path.swarm_path(into.goal_of), rules.limits)
-    hold = there.sample(np.array([there.duration_s])).position_m[0]
-    back = plan_home(hold, tops_enu_m, rules)
-    parts = {"gather": into.pieces, "approach": (there,), "home": back.pieces}
-    kept = {name: _verified(pieces, task) for name, pieces in parts.items()}
+    kept = {"approach": _verified([timed(path.swarm_path(into.goal_of), rules.limits)], task)}
+    approach = kept["approach"][0]
+    hold = approach.sample(np.array([approach.duration_s])).position_m[0]
+    kept["home"] = _verified(plan_home(hold, tops_enu_m, rules).pieces, task)
+    kept["gather"] = _verified(into.pieces, task)
     rim = np.argsort(into.goal_of)[: len(task.formation.leaders_m)]
     return FlightPlan(
-        **{name: plan for name, (plan, _) in kept.items()},
+        **{name: kept[name][0] for name in STAGES},
         slot_of=into.goal_of,
         rim_of=rim,
-        figures=_figures(task, path.iterates, kept["approach"][0], rim),
-        faults={name: figures for name, (_, figures) in kept.items() if figures is not None},
+        figures=_figures(task, path.iterates, approach, rim),
+        faults={name: figures for name in STAGES if (figures := kept[name][1]) is not None},
         task=task,
         plan_time_s=found - began,
         timing_time_s=stopwatch() - found,

@@ -34,6 +34,7 @@ HIGH_M, LOW_M = 10.0, 5.0  # above the ground; in between PX4 changes from one t
 GRAVITY_M_S2: Final = 9.81
 SPARE_M: Final = 0.1  # that is planned on top of the least distance: vehicles are off their setpoints
 VELOCITY_GAIN_PER_S: Final = 3.0  # how quickly a multicopter takes up a velocity: 1.8 to 4 in both autopilots
+BRAKING_SHARE: Final = 0.6  # of what a vehicle brakes by, which it plans with when it goes to a place
 SLOWER: Final = 1.3  # between two factors that are tried
 FINER: Final = 3  # halvings after that: to within 4 %
 SLOWEST: Final = 20.0  # times slower: what is too near then is so at rest
@@ -226,11 +227,16 @@ def _deaf(
     timeout, runs_on, lands, falls = behaviour
     brakes, gain = loop
     x, u = place.copy(), velocity.copy()
-    wanted, asked = np.empty(3), np.empty(3)
+    target, wanted, asked = np.empty(3), np.empty(3), np.empty(3)
     for j in range(len(way)):
         time = j * step
         run = min(time, timeout) if runs_on else 0.0
         over = time >= timeout
+        away = 0.0
+        for k in range(3):
+            target[k] = place[k] + velocity[k] * run + 0.5 * acceleration[k] * run * run
+            away += (target[k] - x[k]) ** 2
+        pull = _pull(np.sqrt(away), gain, BRAKING_SHARE * brakes)
         size = 0.0
         for k in range(3):
             way[j, k] = x[k]
@@ -238,8 +244,7 @@ def _deaf(
                 share = min(max((x[2] - LOW_M) / (HIGH_M - LOW_M), 0.0), 1.0)
                 wanted[k] = -(SLOW_SINK_M_S + share * (SINK_M_S - SLOW_SINK_M_S)) if k == 2 else 0.0
             else:
-                target = place[k] + velocity[k] * run + 0.5 * acceleration[k] * run * run
-                wanted[k] = gain * (target - x[k])
+                wanted[k] = pull * (target[k] - x[k])
                 if not over:
                     wanted[k] += velocity[k] + acceleration[k] * run
             asked[k] = VELOCITY_GAIN_PER_S * (wanted[k] - u[k])
@@ -251,6 +256,17 @@ def _deaf(
                 a = -GRAVITY_M_S2 if k == 2 else 0.0
             x[k] += u[k] * step + 0.5 * a * step * step
             u[k] += a * step
+
+
+@kernel
+def _pull(away: float, gain: float, brakes: float) -> float:
+    """Speed per distance towards a place: proportional when near, at constant deceleration when far.
+
+    ArduPilot's ``sqrt_controller``; PX4 is proportional also when it is far.
+    """
+    if gain == 0.0 or away < brakes / (gain * gain):
+        return gain
+    return np.sqrt(2.0 * brakes * (away - 0.5 * brakes / (gain * gain))) / away
 
 
 @kernel

@@ -210,7 +210,7 @@ PX4: Final = AutopilotProfile(
     land_mode=_PX4_MODES["LAND"],
     hovering_modes=frozenset({_PX4_MODES["LOITER"], _PX4_MODES["POSCTL"], _PX4_MODES["ALTCTL"]}),
     stream_timeout=("COM_OF_LOSS_T", 1.0),
-    lost_link=LostLink(1.0, runs_on=False, lands=True, brakes_m_s2=3.0, gains_per_s=(0.95, 1.5)),  # MPC_XY_P is 0.95
+    lost_link=LostLink(1.0, runs_on=False, lands=True, brakes_m_s2=3.0, gains_per_s=(0.95,)),  # MPC_XY_P
     take_off=TakeOff.BY_SETPOINT,
     lands_by_command=True,
     encoding=Encoding.BYTEWISE,
