@@ -44,6 +44,6 @@ def _rule(mission: Mission, behaviours: Iterable[LostLink], noticed_s: float, de
     known = tuple(behaviours)
     waits_s = max(OUTAGE_S, *(behaviour.timeout_s + SPARE_S for behaviour in known))
     late_s = noticed_s - mission.faults.silent_s
-    reaction = Reaction(noticed_s + WATCH_S + STEP_S, waits_s + late_s + delay_s + LEFT_S)
+    reaction = Reaction(noticed_s + WATCH_S + STEP_S, waits_s + late_s + delay_s, LEFT_S)
     limits = mission.limits
     return LostLinkRule(limits.fault_least_m, limits.fault_remedy, known, reaction)

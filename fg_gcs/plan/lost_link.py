@@ -69,11 +69,13 @@ class Reaction(NamedTuple):
 
     Attributes:
         notice_s: when they begin to come to rest, since the vehicle stopped hearing [s].
-        leaves_s: when they leave at the earliest, if they are at rest by then [s].
+        waits_s: how long they wait at rest at least, since then [s].
+        leaving_s: until they are under way after that [s].
     """
 
     notice_s: float
-    leaves_s: float
+    waits_s: float
+    leaving_s: float
 
 
 class Nearest(NamedTuple):
@@ -146,7 +148,7 @@ def nearest(plan: CheckedPlan, behaviours: Sequence[LostLink], reaction: Reactio
                 (plan.limits.acceleration_m_s2, plan.limits.jerk_m_s3),
                 (behaviour.timeout_s, behaviour.runs_on, behaviour.lands, behaviour.falls),
                 (behaviour.brakes_m_s2, gain_per_s),
-                (reaction.notice_s, reaction.leaves_s),
+                (reaction.notice_s, reaction.waits_s, reaction.leaving_s),
                 best,
             )
     return [
@@ -280,7 +282,7 @@ def _nearest(
     limits: tuple[float, float],
     behaviour: tuple[float, bool, bool, bool],
     loop: tuple[float, float],
-    reaction: tuple[float, float],
+    reaction: tuple[float, float, float],
     best: Array,
 ) -> None:
     """Lower the least distance of each piece.
@@ -298,20 +300,20 @@ def _nearest(
         reaction: see `Reaction`.
         best: fields of `Nearest`, one row a piece, shape (P, 8), changed in place.
     """
-    notice, leaves = reaction
+    notice, waits, leaving = reaction
     last, vehicles = len(position) - 1, position.shape[1]
     fastest2 = 0.0
     for i in range(last + 1):
         for v in range(vehicles):
             fastest2 = max(fastest2, velocity[i, v, 0] ** 2 + velocity[i, v, 1] ** 2 + velocity[i, v, 2] ** 2)
-    fall = GRAVITY_M_S2 * leaves if behaviour[3] else 0.0
+    fall = GRAVITY_M_S2 * (waits + leaving) if behaviour[3] else 0.0
     closing = (2.0 * np.sqrt(fastest2) + 2.0 * SINK_M_S + fall) * 1.2 * STEP_S  # most that a pair nears in a step
     moments = (last + stride) // stride + 1
     for moment in range(moments):
         i = min(moment * stride, last)
         begun = i * step + notice
         lasts = stopping(velocity, acceleration, begun, step, limits[0], limits[1], 1.0, 0.0)
-        steps = int(max(notice + lasts, leaves) / STEP_S) + 1
+        steps = int((max(notice + lasts, waits) + leaving) / STEP_S) + 1
         ways = np.empty((vehicles, steps, 3))
         for v in range(vehicles):
             _deaf(position[i, v], velocity[i, v], acceleration[i, v], STEP_S, behaviour, loop, ways[v])
