@@ -8,6 +8,7 @@ as well. What follows when they leave is planned anew and keeps clear of it (:mo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
@@ -238,7 +239,7 @@ def _deaf(
         for k in range(3):
             target[k] = place[k] + velocity[k] * run + 0.5 * acceleration[k] * run * run
             away += (target[k] - x[k]) ** 2
-        pull = _pull(np.sqrt(away), gain, BRAKING_SHARE * brakes)
+        pull = _pull(math.sqrt(away), gain, BRAKING_SHARE * brakes)
         size = 0.0
         for k in range(3):
             way[j, k] = x[k]
@@ -268,7 +269,7 @@ def _pull(away: float, gain: float, brakes: float) -> float:
     """
     if gain == 0.0 or away < brakes / (gain * gain):
         return gain
-    return np.sqrt(2.0 * brakes * (away - 0.5 * brakes / (gain * gain))) / away
+    return math.sqrt(2.0 * brakes * (away - 0.5 * brakes / (gain * gain))) / away
 
 
 @kernel

@@ -252,7 +252,7 @@ ARDUPILOT: Final = AutopilotProfile(
     land_mode=_ARDUPILOT_MODES["LAND"],
     hovering_modes=frozenset(_ARDUPILOT_MODES[name] for name in ("ALT_HOLD", "LOITER", "POSHOLD", "BRAKE")),
     stream_timeout=("GUID_TIMEOUT", 3.0),
-    lost_link=LostLink(0.8, runs_on=True, lands=False, brakes_m_s2=2.5, gains_per_s=(0.95, 1.5)),
+    lost_link=LostLink(0.75, runs_on=True, lands=False, brakes_m_s2=2.5, gains_per_s=(0.95, 1.5)),
     take_off=TakeOff.BY_COMMAND,
     lands_by_command=False,
     encoding=Encoding.CAST,
@@ -273,7 +273,7 @@ ARDUPILOT: Final = AutopilotProfile(
         ),
         FailsafeParameter(
             "GUID_TIMEOUT",
-            0.8,
+            0.75,
             "how long it flies on after setpoints stop, in seconds: about as far as the others until they rest",
             at_most=True,
         ),
