@@ -212,7 +212,7 @@ class Director:
             with self.journal.in_stage("prepare"):
                 task = await self._prepare(fleet, failsafes)
             with self.journal.in_stage("plan"):
-                plan = self._plan(fleet, task)
+                plan = await self._plan(fleet, task)
                 flights.append(await self._flight(fleet, plan.task, plan))
                 unfit = unfit_links(router, fleet.vehicles)
                 if unfit is not None:
@@ -419,11 +419,11 @@ class Director:
         lost_link = rule_of(self.mission, fleet)
         return replace(task, rules=replace(task.rules, limits=limits), lost_link=lost_link)
 
-    def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
+    async def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
         """Plan from where the vehicles really stand, and verify it, before anything is armed."""
         tops = fleet.positions_enu_m()
         tops[:, 2] = self.mission.takeoff.height_m
-        plan = compile_flight(task, tops, self._setup.stopwatch)
+        plan = await asyncio.to_thread(compile_flight, task, tops, self._setup.stopwatch)
         self.result.plan, self.result.task = plan, plan.task
         ids = [vehicle.label for vehicle in fleet.row_of]
         leaders = [ids[row] for row in plan.rim_of]

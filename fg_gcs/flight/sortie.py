@@ -39,6 +39,7 @@ SETTLE_S = 10.0  # how long arriving may take after a plan has ended
 CLIMB_M_S = 0.5  # slowest climb to wait for at take-off
 HEARD_S = 2.0  # how long vehicles have to tell where they are after this program stood still
 LET_GO_S = 5.0  # how long vehicles have to begin to land before the program ends all the same
+MOST_GENTLY = 30  # vehicles of which it is computed in flight: within a tenth of a second
 SLOWEST_HOME = 4.0  # times slower that a way home is flown after a fault, for the sake of another one
 STREAMED_S = 1.0  # how long setpoints run before the mode is asked for that needs them
 
@@ -164,7 +165,7 @@ class Sortie:
             PlanError: it breaks a rule.
         """
         rule = self._task.lost_link
-        if rule is None:
+        if rule is None or len(self._fleet.vehicles) > MOST_GENTLY:
             return check(pieces, self._task.rules, self._gaze_enu_m)
         slow = replace(rule, remedy="slow")
         return keeping_apart(pieces, self._task.rules, self._gaze_enu_m, slow, SLOWEST_HOME).plan

@@ -214,7 +214,6 @@ def plan_figures(system_ids: Sequence[int | str], made: FlightPlan) -> dict[str,
     """
     first, second = made.separation.pair
     return {
-        **_fault_figures(system_ids, made),
         "planner": "flux_guided",
         "vehicles": len(made.slot_of),
         "leaders": len(made.rim_of),
@@ -226,6 +225,7 @@ def plan_figures(system_ids: Sequence[int | str], made: FlightPlan) -> dict[str,
         "peak_acceleration_m_s2": made.peaks.acceleration_m_s2,
         "min_separation_m": made.separation.distance_m,
         "min_separation_pair": [system_ids[first], system_ids[second]],
+        **_fault_figures(system_ids, made),
     }
 
 

@@ -16,7 +16,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fg_gcs.compiling import kernel
+from fg_gcs.compiling import kernel, long_kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.pace import changing, stopping
@@ -30,9 +30,12 @@ STEP_S: Final = 0.02  # of the computation: at 10 m/s every 0.2 m, between which
 SAMPLES: Final = 3_000  # of a plan at most: a longer one is slow, and needs fewer a second
 MOMENTS_S: Final = 0.1  # between two moments at which a vehicle stops hearing us
 MOMENTS: Final = 300  # at most, likewise
+PAIRS: Final = 1_000_000  # of vehicles times moments, about: more moments are left out, down to
+FEWEST_MOMENTS: Final = 40
 SINK_M_S, SLOW_SINK_M_S = 1.5, 0.7  # speeds of a landing above HIGH_M and below LOW_M; ArduPilot's are no higher
 HIGH_M, LOW_M = 10.0, 5.0  # above the ground; in between PX4 changes from one to the other
 GRAVITY_M_S2: Final = 9.81
+MARGIN, TINY_M = 1.2, 1e-3  # on what a pair may near each other in a step
 SPARE_M: Final = 0.1  # that is planned on top of the least distance: vehicles are off their setpoints
 VELOCITY_GAIN_PER_S: Final = 3.0  # how quickly a multicopter takes up a velocity: 1.8 to 4 in both autopilots
 BRAKING_SHARE: Final = 0.6  # of what a vehicle brakes by, which it plans with when it goes to a place
@@ -133,7 +136,8 @@ def nearest(plan: CheckedPlan, behaviours: Sequence[LostLink], reaction: Reactio
     swarm = plan.sample(time_s)
     if swarm.position_m.shape[1] < 2:
         return [Nearest(np.inf, 0.0, 0.0, (0, 0), (0.0, 0.0, 0.0))] * len(plan.pieces)
-    stride = max(1, round(max(MOMENTS_S, plan.duration_s / MOMENTS) / step_s))
+    moments = min(MOMENTS, max(FEWEST_MOMENTS, PAIRS // swarm.position_m.shape[1] ** 2))
+    stride = max(1, round(max(MOMENTS_S, plan.duration_s / moments) / step_s))
     piece_of = np.searchsorted(plan.starts_s, np.stack((time_s, time_s + reaction.notice_s)), side="right") - 1
     best = np.zeros((len(plan.pieces), 8))
     best[:, 0] = np.inf  # a piece that is over before anybody notices brings nobody together
@@ -272,7 +276,7 @@ def _pull(away: float, gain: float, brakes: float) -> float:
     return math.sqrt(2.0 * brakes * (away - 0.5 * brakes / (gain * gain))) / away
 
 
-@kernel
+@long_kernel
 def _nearest(
     position: Array,
     velocity: Array,
@@ -303,12 +307,6 @@ def _nearest(
     """
     notice, waits, leaving = reaction
     last, vehicles = len(position) - 1, position.shape[1]
-    fastest2 = 0.0
-    for i in range(last + 1):
-        for v in range(vehicles):
-            fastest2 = max(fastest2, velocity[i, v, 0] ** 2 + velocity[i, v, 1] ** 2 + velocity[i, v, 2] ** 2)
-    fall = GRAVITY_M_S2 * (waits + leaving) if behaviour[3] else 0.0
-    closing = (2.0 * np.sqrt(fastest2) + 2.0 * SINK_M_S + fall) * 1.2 * STEP_S  # most that a pair nears in a step
     moments = (last + stride) // stride + 1
     for moment in range(moments):
         i = min(moment * stride, last)
@@ -318,10 +316,11 @@ def _nearest(
         ways = np.empty((vehicles, steps, 3))
         for v in range(vehicles):
             _deaf(position[i, v], velocity[i, v], acceleration[i, v], STEP_S, behaviour, loop, ways[v])
-        where = np.empty(steps)  # in samples of the plan, of those that hear
+        where, rates = np.empty(steps), np.empty(steps)  # in samples of the plan, of those that hear
         for j in range(steps):
-            passed = j * STEP_S - notice
-            where[j] = changing(passed, begun, 1.0, 0.0, 0.0, lasts)[0] / step
+            time, rates[j], _ = changing(j * STEP_S - notice, begun, 1.0, 0.0, 0.0, lasts)
+            where[j] = time / step
+        closing = _closing(velocity, ways, where, rates)
         pieces = best[piece_of[0, i] : piece_of[1, i] + 1]
         row = pieces[np.argmax(pieces[:, 0])].copy()  # nothing nearer than this is of any interest
         for first in range(vehicles):
@@ -331,6 +330,26 @@ def _nearest(
         for piece in pieces:
             if row[0] < piece[0]:
                 piece[:] = row
+
+
+@kernel
+def _closing(velocity: Array, ways: Array, where: Array, rates: Array) -> float:
+    """The most by which any pair nears each other in a step: how fast either is moved against the mean of the swarm."""
+    last, vehicles = len(velocity) - 1, velocity.shape[1]
+    hearing, deaf = 0.0, 0.0
+    for j in range(len(where) - 1):
+        i = min(int(where[j]), last)
+        mean = np.zeros(3)
+        for v in range(vehicles):
+            for k in range(3):
+                mean[k] += velocity[i, v, k] * rates[j] / vehicles
+        for v in range(vehicles):
+            one, other = 0.0, 0.0
+            for k in range(3):
+                one += (velocity[i, v, k] * rates[j] - mean[k]) ** 2
+                other += ((ways[v, j + 1, k] - ways[v, j, k]) / STEP_S - mean[k]) ** 2
+            hearing, deaf = max(hearing, one), max(deaf, other)
+    return (math.sqrt(deaf) + math.sqrt(max(hearing, deaf))) * MARGIN * STEP_S + TINY_M
 
 
 @kernel
