@@ -31,10 +31,19 @@ _Result = TypeVar("_Result")
 
 def kernel(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """Compile a function at its first call, or load what an earlier process compiled from the same sources."""
+    return _compiled(function, nogil=False)
+
+
+def long_kernel(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+    """Compile a function that other threads run beside: for what takes longer than a setpoint may wait."""
+    return _compiled(function, nogil=True)
+
+
+def _compiled(function: Callable[_Arguments, _Result], *, nogil: bool) -> Callable[_Arguments, _Result]:
     others = SETTINGS.CACHE_DIR
     SETTINGS.CACHE_DIR = str(cache_folder())  # the compiler reads it while it decorates, and never again
     try:
-        compiled: Callable[_Arguments, _Result] = njit(cache=True)(function)
+        compiled: Callable[_Arguments, _Result] = njit(cache=True, nogil=nogil)(function)
     finally:
         SETTINGS.CACHE_DIR = others
     return compiled

@@ -45,13 +45,13 @@ def check(paths: Sequence[Path]) -> ExitCode:
         try:
             mission = load_mission(path)
             tell_if_not_built([mission])
-            planning.plan(mission)
+            planned = planning.plan(mission)
             check_simulator(mission, wish_of(mission))
         except FgError as error:
             print(error, file=sys.stderr)
             bad = True
         else:
-            print(f"{path}: good", file=sys.stderr)
+            print("\n  ".join((f"{path}: good", *planned.in_fault)), file=sys.stderr)
     return ExitCode.BAD_INPUT if bad else ExitCode.DONE
 
 
@@ -92,6 +92,7 @@ def _words(planned: PlannedMission) -> str:
             f"at most {made.peaks.speed_m_s:.2f} m/s and {made.peaks.acceleration_m_s2:.2f} m/s^2",
             f"  separation  {made.separation.distance_m:.2f} m at least (vehicles {pair[0]} and {pair[1]}), "
             "on the whole flight",
+            *(f"  in faults   {line}" for line in planned.in_fault),
             f"  planned in  {1e3 * (made.plan_time_s + made.timing_time_s):.1f} ms",
         )
     )

@@ -24,6 +24,7 @@ from fg_gcs.flight.gate import LASTS_S, Gate, GateCounts
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.link_check import unfit_links
 from fg_gcs.flight.link_recorder import LinkRecorder
+from fg_gcs.flight.lost_links import rule_of
 from fg_gcs.flight.policy import (
     Fault,
     FaultKind,
@@ -48,7 +49,7 @@ from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Counters, Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.by_themselves import by_themselves
-from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
+from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, plan_figures
 from fg_gcs.record.write.kept_parameters import KeptParameters
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
@@ -211,8 +212,8 @@ class Director:
             with self.journal.in_stage("prepare"):
                 task = await self._prepare(fleet, failsafes)
             with self.journal.in_stage("plan"):
-                plan = self._plan(fleet, task)
-                flights.append(await self._flight(fleet, task, plan))
+                plan = await self._plan(fleet, task)
+                flights.append(await self._flight(fleet, plan.task, plan))
                 await self._let_return(fleet, plan, failsafes[0])
                 unfit = unfit_links(router, fleet.vehicles)
                 if unfit is not None:
@@ -428,14 +429,15 @@ class Director:
             separation_m=task.rules.separation_m,
             target_enu_m=task.target_enu_m,
         )
-        return replace(task, rules=replace(task.rules, limits=limits))
+        lost_link = rule_of(self.mission, fleet)
+        return replace(task, rules=replace(task.rules, limits=limits), lost_link=lost_link)
 
-    def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
+    async def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
         """Plan from where the vehicles really stand, and verify it, before anything is armed."""
         tops = fleet.positions_enu_m()
         tops[:, 2] = self.mission.takeoff.height_m
-        plan = compile_flight(task, tops, self._setup.stopwatch)
-        self.result.plan, self.result.task = plan, task
+        plan = await asyncio.to_thread(compile_flight, task, tops, self._setup.stopwatch)
+        self.result.plan, self.result.task = plan, plan.task
         ids = [vehicle.label for vehicle in fleet.row_of]
         leaders = [ids[row] for row in plan.rim_of]
         self.journal.recorder.know(leader_ids=leaders, **plan_figures(ids, plan))
@@ -445,6 +447,8 @@ class Director:
             f"never closer than {plan.separation.distance_m:.2f} m; "
             f"planned in {1e3 * (plan.plan_time_s + plan.timing_time_s):.0f} ms",
         )
+        for line in fault_words(ids, plan):
+            self.journal.event("plan", line)
         return plan
 
     async def _let_return(self, fleet: Fleet, plan: FlightPlan, failsafes: Failsafes) -> None:

@@ -113,7 +113,8 @@ class Failsafes:
 
     def _wanted(self, row: int, vehicle: Vehicle) -> dict[str, float]:
         """Return what parameters of a vehicle are to be for this flight."""
-        wanted = {one.name: one.wanted for one in vehicle.profile.failsafes if one.wanted is not None}
+        unsafe = (one for one in vehicle.profile.failsafes if not one.is_safe(vehicle.params.get(one.name, math.nan)))
+        wanted = {one.name: one.wanted for one in unsafe if one.wanted is not None}
         if self.returns_m is not None:
             for one in vehicle.profile.returns:
                 name = one.name_in(vehicle.params)

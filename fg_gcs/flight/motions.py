@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.plan.pace import AHEAD_S, GENTLEST, SHORTEST_S, Pace, stop_s
 from fg_gcs.plan.trajectory import Sample
 from fg_gcs.plan.verification import CheckedPlan, yaw_towards
 from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
 
-AHEAD_S = 2.0  # how far a plan is looked ahead for the speed from which it has to stop
+STOP_LOOKS_S = 0.05  # between two samples of what a plan would do while it comes to rest
 
 
 class SwarmSetpoint(NamedTuple):
@@ -99,41 +100,6 @@ class Braking:
         return SwarmSetpoint(position + moved, velocity * left[:, None], velocity * slower[:, None], yaw_rad)
 
 
-class Pace(NamedTuple):
-    """How fast a plan's time passes: from ``begin_s`` on it changes within ``lasts_s`` to another rate, smoothly.
-
-    The rate is a cubic with given values and slopes at both ends, the last slope 0. A rate r multiplies speeds;
-    accelerations become ``a r^2 + v r'``.
-    """
-
-    begin_s: float  # the clock's reading [s]
-    plan_s: float  # the plan's time then [s]
-    before: float = 1.0  # rate then
-    slope: float = 0.0  # its derivative then [1/s]
-    after: float = 1.0  # rate in the end
-    lasts_s: float = 0.0
-
-    def at(self, now_s: float) -> tuple[float, float, float]:
-        """Return the plan's time [s], its rate, and the rate's derivative [1/s]."""
-        _, plan_s, before, slope, after, lasts_s = self
-        passed_s = now_s - self.begin_s
-        if passed_s >= lasts_s:
-            whole_s = lasts_s * (0.5 * (before + after) + slope * lasts_s / 12.0)
-            return plan_s + whole_s + after * (passed_s - lasts_s), after, 0.0
-        if passed_s <= 0.0:
-            return plan_s + before * passed_s, before, slope
-        x, change, kick = passed_s / lasts_s, after - before, slope * lasts_s
-        rate = before + kick * x * (1.0 - x) ** 2 + change * x**2 * (3.0 - 2.0 * x)
-        rate_dot = (kick * (1.0 - x) * (1.0 - 3.0 * x) + change * 6.0 * x * (1.0 - x)) / lasts_s
-        area = before * x + kick * x**2 * (0.5 - x * (2.0 / 3.0 - 0.25 * x)) + change * x**3 * (1.0 - 0.5 * x)
-        return plan_s + lasts_s * area, rate, rate_dot
-
-    def when(self, plan_s: float) -> float:
-        """Return the clock's reading at which the plan's time is reached once the rate is steady; infinite if never."""
-        end_s, rate, _ = self.at(self.begin_s + self.lasts_s)
-        return self.begin_s + self.lasts_s + max(plan_s - end_s, 0.0) / rate if rate > 0.0 else np.inf
-
-
 class Follow:
     """Fly a checked plan, and rest at its end.
 
@@ -171,20 +137,21 @@ class Follow:
         return self.pace.after == 0.0
 
     def stopping(self, now_s: float) -> Follow:
-        """Return the motion that comes to rest from its present state on."""
-        return self._changing(now_s, 0.0)
+        """Return the motion that comes to rest from its present state on, as quickly as the vehicles can."""
+        plan_s, rate, slope = self.pace.at(now_s)
+        pace, limits = Pace(now_s, plan_s, rate, slope, 0.0), self.plan.limits
+        longest_s = max(AHEAD_S, GENTLEST * self.plan.peaks.speed_m_s / limits.acceleration_m_s2)
+        ahead = self.plan.sample(plan_s + np.arange(0.0, longest_s + STOP_LOOKS_S, STOP_LOOKS_S))
+        lasts_s = stop_s(ahead.velocity_m_s, ahead.acceleration_m_s2, STOP_LOOKS_S, limits, pace)
+        return Follow(self.rows, self.plan, pace._replace(lasts_s=lasts_s))
 
     def going_on(self, now_s: float) -> Follow:
         """Return the motion that is at full speed again, from its rest on."""
-        return self._changing(now_s, 1.0)
-
-    def _changing(self, now_s: float, after: float) -> Follow:
         plan_s, rate, slope = self.pace.at(now_s)
         ahead_s = np.linspace(plan_s, plan_s + AHEAD_S, 20)
         speed = float(np.linalg.norm(self.plan.sample(ahead_s).velocity_m_s, axis=2).max())
-        limit = max(self.plan.peaks.acceleration_m_s2, 0.5)  # a plan that hardly accelerates still has to stop
-        lasts_s = max(0.5, 4.0 * speed / limit)  # v r' is then at most 3/8 of what the plan accelerates by
-        return Follow(self.rows, self.plan, Pace(now_s, plan_s, rate, slope, after, lasts_s))
+        lasts_s = max(SHORTEST_S, GENTLEST * speed / self.plan.limits.acceleration_m_s2)
+        return Follow(self.rows, self.plan, Pace(now_s, plan_s, rate, slope, 1.0, lasts_s))
 
     def at(self, now_s: float) -> SwarmSetpoint:
         """Return the plan's sample."""

@@ -71,6 +71,7 @@ class FaultKind(Enum):
     SILENT = "silent"
     LOST = "lost"
     STUCK = "stuck"
+    UNANSWERED = "unanswered"
     OFF_COURSE = "off_course"
     DEAF = "deaf"
     TAKEN = "taken"
@@ -132,7 +133,7 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
         FaultKind.LOST: Row(
             "a vehicle stays silent",
             "no message for its own time-out (PX4 `COM_OF_LOSS_T`, ArduPilot `GUID_TIMEOUT`) and 0.5 s, and for 2.2 s",
-            "PX4 2.2 s, ArduPilot 3.5 s with their defaults",
+            "2.2 s",
             Rung.HOME,
             Care.LAND,
             "where it was last, and the region that is kept clear",
@@ -141,6 +142,14 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
             "a vehicle's positions stop, though it is heard",
             "no newer position",
             "0.5 s and the link's delay",
+            Rung.HOLD,
+            Care.TELL,
+            "its last telemetry",
+        ),
+        FaultKind.UNANSWERED: Row(
+            "a vehicle is heard, but does not seem to hear us",
+            "no answer to TIMESYNC requests, ten a second: five in a row, more where the link loses some",
+            "0.5 s and the link's delay, twice; 1.2 s where 20 % are lost each way",
             Rung.HOLD,
             Care.TELL,
             "its last telemetry",
@@ -154,9 +163,9 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
             "the tracking error",
         ),
         FaultKind.DEAF: Row(
-            "a vehicle stays off its course",
-            "off course for its own time-out and 0.5 s",
-            "PX4 1.5 s, ArduPilot 3.5 s with their defaults",
+            "a vehicle stays off its course, or does not answer",
+            "off course for its own time-out and 0.5 s, or unanswered for as long as one that is silent is waited for",
+            "PX4 1.5 s, ArduPilot 1.3 s; 2.2 s where it does not answer",
             Rung.HOME,
             Care.LAND,
             "the tracking error",

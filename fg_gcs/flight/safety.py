@@ -23,6 +23,8 @@ FENCE_SLACK_M: Final = 0.5  # plans may touch the fence; a vehicle's tracking er
 STALE_S: Final = 0.5  # positions older than this say nothing about the distance of a pair
 SPARE_S: Final = 0.5  # on top of a vehicle's own time-out, before it is given up
 OUTAGE_S: Final = 2.2  # a link that is out for two seconds is waited for, whatever the vehicle's own time-out is
+ASKED_S: Final = 0.1  # between two requests for a vehicle's time, by whose answers it is known to hear us
+MOST_ASKED_HZ: Final = 1000.0  # of all vehicles together: answers of a large swarm would take more than flying it
 LAG_S: Final = 0.8  # of the way that a vehicle flies in so much time it may be behind: PX4 with its default drag
 FAILSAFE_WORDS: Final = ("failsafe",)  # in the texts in which autopilots tell of their own
 FAILSAFE_S: Final = 3.0  # such a text tells of a mode that changed no longer before
@@ -32,6 +34,7 @@ _ONE: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.SILENT: "is silent",
         FaultKind.LOST: "is lost: nothing is heard from it",
         FaultKind.STUCK: "does not tell where it is any more",
+        FaultKind.UNANSWERED: "does not seem to hear us",
         FaultKind.OFF_COURSE: "is off its course",
         FaultKind.DEAF: "does not fly where it is told to",
         FaultKind.TAKEN: "is taken over: something else changed its mode",
@@ -47,6 +50,7 @@ _MANY: Final[Mapping[FaultKind, str]] = MappingProxyType(
         FaultKind.SILENT: "are silent",
         FaultKind.LOST: "are lost: nothing is heard from them",
         FaultKind.STUCK: "do not tell where they are any more",
+        FaultKind.UNANSWERED: "do not seem to hear us",
         FaultKind.OFF_COURSE: "are off their course",
         FaultKind.DEAF: "do not fly where they are told to",
         FaultKind.TAKEN: "are taken over: something else changed their modes",
@@ -123,6 +127,7 @@ def _of_one(picture: Picture, row: int, bounds: Bounds) -> Iterator[Finding]:
     silent_s = now_s - vehicle.heard_at_s
     delay_s = delay_of(vehicle)
     given_up_s = max(vehicle.stream_timeout_s + SPARE_S, OUTAGE_S)
+    patient_s = unanswered_s(vehicle, bounds.silent_s, len(picture.vehicles))
     if silent_s > given_up_s + delay_s:
         yield Finding(FaultKind.LOST, address)
         return
@@ -132,6 +137,9 @@ def _of_one(picture: Picture, row: int, bounds: Bounds) -> Iterator[Finding]:
         yield Finding(FaultKind.LOST, address)
     elif picture.located.age_s[row] > bounds.silent_s + delay_s:
         yield Finding(FaultKind.STUCK, address)
+    elif now_s - vehicle.timing.heard_us_s > patient_s:  # never true while not known
+        deaf = now_s - vehicle.timing.heard_us_s > given_up_s - bounds.silent_s + patient_s
+        yield Finding(FaultKind.DEAF if deaf else FaultKind.UNANSWERED, address)
     if vehicle.phase is Phase.TAKEN:
         kind = FaultKind.OWN_FAILSAFE if tells_of_failsafe(vehicle, now_s) else FaultKind.TAKEN
         yield Finding(kind, address, vehicle.mode_name)
@@ -150,6 +158,22 @@ def delay_of(vehicle: Vehicle) -> float:
     quality = vehicle.timing.quality
     delay_s = quality.delay_s + quality.jitter_s
     return delay_s if math.isfinite(delay_s) else 0.0
+
+
+def asked_s(swarm: int) -> float:
+    """Return the time between two requests for one vehicle's time in a swarm of so many [s]."""
+    return max(ASKED_S, swarm / MOST_ASKED_HZ)
+
+
+def unanswered_s(vehicle: Vehicle, silent_s: float, swarm: int) -> float:
+    """Return how long a vehicle that hears us may leave requests for its time without an answer [s].
+
+    Args:
+        vehicle: with what is known of its link.
+        silent_s: the least [s].
+        swarm: how many vehicles are asked, see :func:`asked_s`.
+    """
+    return max(silent_s, asked_s(swarm) * vehicle.timing.quality.misses) + 2.0 * delay_of(vehicle)
 
 
 def tells_of_failsafe(vehicle: Vehicle, now_s: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -22,6 +23,8 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.plan.flight_plan import FlightPlan
 from fg_gcs.plan.keep_clear import Column
 from fg_gcs.plan.landing import part, with_room
+from fg_gcs.plan.lost_link import keeping_apart
+from fg_gcs.plan.trajectory import Trajectory
 from fg_gcs.plan.verification import CheckedPlan, check
 from fg_gcs.plan.way_home import plan_home
 from fg_gcs.wire.address import vehicles_named
@@ -36,6 +39,8 @@ SETTLE_S = 10.0  # how long arriving may take after a plan has ended
 CLIMB_M_S = 0.5  # slowest climb to wait for at take-off
 HEARD_S = 2.0  # how long vehicles have to tell where they are after this program stood still
 LET_GO_S = 5.0  # how long vehicles have to begin to land before the program ends all the same
+MOST_GENTLY = 30  # vehicles of which it is computed in flight: within a tenth of a second
+SLOWEST_HOME = 4.0  # times slower that a way home is flown after a fault, for the sake of another one
 STREAMED_S = 1.0  # how long setpoints run before the mode is asked for that needs them
 
 
@@ -149,9 +154,21 @@ class Sortie:
             return
         places, columns = self._places(still, rows), self._columns(still)
         way = await asyncio.to_thread(plan_home, places, self._context.tops_enu_m, self._task.rules, columns)
-        plan = await asyncio.to_thread(check, way.pieces, self._task.rules, self._gaze_enu_m)
+        plan = await asyncio.to_thread(self._gently, way.pieces)
         await self._stream(rows, plan, still)
         await self._settle(rows, "the places above the pads")
+
+    def _gently(self, pieces: Sequence[Trajectory]) -> CheckedPlan:
+        """Verify a way home, flown so slowly that another fault brings nobody too near, as far as that is slow enough.
+
+        Raises:
+            PlanError: it breaks a rule.
+        """
+        rule = self._task.lost_link
+        if rule is None or len(self._fleet.vehicles) > MOST_GENTLY:
+            return check(pieces, self._task.rules, self._gaze_enu_m)
+        slow = replace(rule, remedy="slow")
+        return keeping_apart(pieces, self._task.rules, self._gaze_enu_m, slow, SLOWEST_HOME).plan
 
     async def _land_apart(self) -> None:
         """Come to rest, part until each can come straight down, land."""

@@ -13,7 +13,7 @@ from fg_gcs.flight.context import Context
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.origins import OriginWatch
 from fg_gcs.flight.policy import ROWS, Care, Fault, FaultKind
-from fg_gcs.flight.safety import SPARE_S, Bounds, Finding, Picture, faults, findings
+from fg_gcs.flight.safety import SPARE_S, Bounds, Finding, Picture, asked_s, faults, findings
 from fg_gcs.flight.streamer import STALL_S
 from fg_gcs.link.clock import ticks
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
@@ -28,7 +28,9 @@ FORGETS_S: Final = (
 _ALL: Final = frozenset(FaultKind)
 WATCHED: Final[Mapping[str, frozenset[FaultKind]]] = MappingProxyType(
     {  # on the way up all are still below the floor and not where they are to be; who disarms there is told by arming
-        "take-off": _ALL - {FaultKind.FENCE, FaultKind.DISARMED, FaultKind.OFF_COURSE, FaultKind.DEAF},
+        "take-off": _ALL
+        - {FaultKind.FENCE, FaultKind.DISARMED, FaultKind.OFF_COURSE, FaultKind.DEAF}
+        - {FaultKind.UNANSWERED},  # it is only asked often enough from here on
         **dict.fromkeys(("gather", "approach", "hold", "home", "spread"), _ALL),
     }
 )
@@ -55,6 +57,7 @@ class Watch:
         self._known: set[tuple[FaultKind, tuple[VehicleAddress, ...]]] = set()
         self._off_course_s: dict[VehicleAddress, float] = {}  # since when
         self._given_up_s: dict[int, float] = {}
+        self._asked_s = -math.inf
         self._told_speed_m_s = np.zeros(len(context.fleet.vehicles))
         self._origins = OriginWatch(context.fleet.states)
         self._time = context.journal.time
@@ -86,6 +89,7 @@ class Watch:
         context = self._context
         rows = [row for row in sorted(context.custody.asked) if context.custody.counted_on(row)]
         rows = [row for row in rows if not self._descents.is_begun(row)]
+        self._ask(rows, now_s)
         picture = self._picture(rows, now_s)
         found = self._confirmed(moved + findings(picture, context.task.rules, self._bounds), now_s)
         found = [one for one in found if one.kind in watched]
@@ -102,6 +106,13 @@ class Watch:
             )
             self._take(fault, picture)
             self._report(fault)
+
+    def _ask(self, rows: list[int], now_s: float) -> None:
+        """Ask vehicles for their time, as often as is due: by their answers they are known to hear us."""
+        fleet = self._context.fleet
+        if now_s - self._asked_s >= asked_s(len(fleet.vehicles)) - 0.5 * WATCH_S:
+            self._asked_s = now_s
+            fleet.router.ask_for_time(fleet.vehicles[row].address for row in rows)
 
     def _picture(self, rows: list[int], now_s: float) -> Picture:
         fleet = self._context.fleet

@@ -169,6 +169,7 @@ class Router:
         self._wires: list[Wire] = []
         self._peers = Peers()
         self._known = self._peers.known
+        self._asked = _Called((), ())  # for their time, by whoever uses this
         self._unfinished: deque[Peer] = deque()  # those of whose bytes some wait to be read on
         self._routes: dict[VehicleAddress, Peer] = {}
         # Of the last round, while no vehicle has moved: the vehicles, and the ways to them
@@ -301,6 +302,14 @@ class Router:
                 for vehicle in vehicles:
                     self._watch(vehicle)
                 await asyncio.sleep(0.0)
+
+    def ask_for_time(self, addresses: Iterable[VehicleAddress]) -> None:
+        """Send TIMESYNC requests to vehicles: whoever answers hears us."""
+        peers = tuple(dict.fromkeys(self._routes[each] for each in addresses if each in self._routes))
+        if peers != self._asked.peers:
+            self._asked = _Called(peers, [Routes.of(peers)] if peers else [])
+        for routes in self._asked.batches:
+            self._ask_for_time(routes)
 
     def tell_shortages(self) -> None:
         """Tell people of buffers that are too small for the vehicles heard so far; once, when all of them are."""

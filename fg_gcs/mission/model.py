@@ -30,10 +30,12 @@ from fg_gcs.mission.target_tables import FileTable, MovingTarget, TrackTable
 from fg_gcs.plan.flight_plan import Task
 from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.plan.lost_link import Remedy
 from fg_gcs.plan.targets import Charges, Target, centre_of_charge, effective_radius_m, uncertain
 from fg_gcs.track.following_core import TrackingSettings
 
 SETPOINTS_HZ = 50.0  # unless a mission says otherwise
+FAULT_SEPARATION_M = 0.5  # likewise; nearer than this quadrotors touch
 DEFAULT_ORIGIN = Geodetic(47.397742, 8.545594, 488.0)  # where PX4's own simulators start, near Zurich
 
 
@@ -208,6 +210,22 @@ class LimitsTable(MissionTable):
     separation_m: Plannable = Field(
         description="a number from 1e-6 to 1e6, the smallest distance between two vehicles in metres"
     )
+    fault_separation_m: Plannable | None = Field(
+        default=None,
+        description="a number from 1e-6 to separation_m, the smallest distance in metres to a vehicle that stops "
+        "hearing us (default 0.5, or separation_m if that is less)",
+    )
+    fault_remedy: Remedy = Field(
+        default="slow",
+        description='"slow", "widen" or "refuse": what is done where vehicles would come nearer than that '
+        '(default "slow")',
+    )
+
+    @property
+    def fault_least_m(self) -> float:
+        """The smallest distance to a vehicle that stops hearing us [m]."""
+        found = self.fault_separation_m
+        return min(FAULT_SEPARATION_M, self.separation_m) if found is None else found
 
 
 class FaultsTable(MissionTable):

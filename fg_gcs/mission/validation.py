@@ -40,7 +40,10 @@ def problems_of(mission: Mission) -> Iterator[Problem]:
     if mission.takeoff.height_m < floor:
         text = f"{mission.takeoff.height_m:g} m is below the floor; accepted: {floor:g} m or more ([fence] low_enu_m)"
         yield Problem("takeoff", "height_m", text)
-    separation = mission.limits.separation_m
+    separation, fault_separation = mission.limits.separation_m, mission.limits.fault_least_m
+    if fault_separation > separation:
+        text = f"{fault_separation:g} m; accepted: at most {separation:g} m ([limits] separation_m)"
+        yield Problem("limits", "fault_separation_m", text)
     if mission.pads.spacing_m <= separation:
         text = f"got {mission.pads.spacing_m:g} m; accepted: more than {separation:g} m ([limits] separation_m)"
         yield Problem("pads", "spacing_m", text)

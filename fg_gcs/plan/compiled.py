@@ -17,6 +17,7 @@ from fg_gcs.core.separation import Fence
 from fg_gcs.plan.flight_plan import Task, compile_flight
 from fg_gcs.plan.formulations import FormulationName
 from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.plan.lost_link import LostLink, LostLinkRule, Reaction
 from fg_gcs.plan.path.swarm_path import LinePath
 from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import timed
@@ -39,6 +40,7 @@ def build(formulations: Collection[FormulationName] = USUAL) -> None:
         target=Target.ball((-9.0, 4.0, 3.0)),
         hold_depth_m=0.1,
         rules=Rules(Limits(5.0, 3.0), 1.0, fence),
+        lost_link=LostLinkRule(0.1, "slow", (LostLink(1.0, True, True, 3.0, (1.0,)),), Reaction(0.6, 2.0, 0.5)),
     )
     pads = np.array([(0.0, 0.0, -9.0), (4.0, 0.0, -9.0), (0.0, 4.0, -9.0), (4.0, 4.0, -9.0)])
     for formulation in formulations:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,15 +16,18 @@ from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
+from fg_gcs.plan.lost_link import DEAD, Kept, LostLinkRule, Nearest, keeping_apart, nearest, too_near
 from fg_gcs.plan.rules import Peaks
 from fg_gcs.plan.targets import Target
-from fg_gcs.plan.trajectory import timed
+from fg_gcs.plan.trajectory import Trajectory, timed
 from fg_gcs.plan.transit import gather
 from fg_gcs.plan.verification import CheckedPlan, check
 from fg_gcs.plan.way_home import plan_home
 
 Indices = NDArray[np.intp]
 
+STAGES = ("gather", "approach", "home")
+WIDER = np.arange(1.1, 3.01, 0.1)  # times its size that a formation is widened to where a mission wants that
 FIGURES_HZ = 100.0  # density of the figures about an approach: every 0.1 m at 10 m/s
 
 
@@ -38,6 +41,7 @@ class Task:
     hold_depth_m: float  # how far the target's centre lies behind the face during the hold [m]
     rules: Rules
     formulation: FormulationName = "rigid"
+    lost_link: LostLinkRule | None = None  # how near vehicles may come when one stops hearing us; None: not computed
 
     @property
     def target_enu_m(self) -> Array:
@@ -52,6 +56,14 @@ class Task:
             PlanError: no scale makes the face hold the target.
         """
         return self.target.last_scale(self.formation, self.start.scale)
+
+
+class FaultFigures(NamedTuple):
+    """How near vehicles come in one part of a flight when one stops hearing us, and what was done about it."""
+
+    nearest: Nearest
+    fall: Nearest  # likewise if it falls instead: nothing that a plan does about that, but how the formation stands
+    slower: float  # how many times longer the part takes for it
 
 
 class ApproachFigures(NamedTuple):
@@ -79,6 +91,8 @@ class FlightPlan:
     slot_of: Indices  # (V,)
     rim_of: Indices  # (N,) the vehicle at each place of the rim
     figures: ApproachFigures
+    faults: dict[str, FaultFigures]  # by the names of the three plans; none: not computed
+    task: Task  # what was planned: its formation may be wider than it was asked for
     plan_time_s: float  # flux-guided search
     timing_time_s: float  # timing, transits and checks
 
@@ -88,6 +102,16 @@ class FlightPlan:
         return min(plan.separation for plan in (self.gather, self.approach, self.home))
 
     @property
+    def nearest_in_fault(self) -> tuple[str, Nearest]:
+        """In which part vehicles come nearest when one of them stops hearing us, and how near."""
+        return min(((name, each.nearest) for name, each in self.faults.items()), key=lambda part: part[1])
+
+    @property
+    def nearest_fall(self) -> tuple[str, Nearest]:
+        """In which part a vehicle that falls comes nearest to another one, and how near."""
+        return min(((name, each.fall) for name, each in self.faults.items()), key=lambda part: part[1])
+
+    @property
     def peaks(self) -> Peaks:
         """Largest speed and acceleration of the whole flight."""
         return Peaks(*np.max([plan.peaks for plan in (self.gather, self.approach, self.home)], axis=0).tolist())
@@ -95,6 +119,9 @@ class FlightPlan:
 
 def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:
     """Plan and verify a whole flight.
+
+    Where vehicles would come too near to one that stops hearing us, the flight is made slower, or wider, as the task
+    says.
 
     Args:
         task: formation, target and rules.
@@ -107,26 +134,58 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
     slots = len(task.formation.slots_m)
     if len(tops_enu_m) != slots:
         raise PlanError(f"the formation has {slots} slots, but there are {len(tops_enu_m)} vehicles")
+    if task.lost_link is None or task.lost_link.remedy != "widen":
+        return _compiled(task, tops_enu_m, stopwatch)
+    problem: PlanError | None = None
+    for times in (1.0, *WIDER.tolist()):
+        formation = Formation(times * task.formation.leaders_m, times * task.formation.followers_m)
+        try:
+            return _compiled(replace(task, formation=formation), tops_enu_m, stopwatch)
+        except PlanError as error:
+            problem = problem or error
+    raise PlanError(f"{problem}; no formation up to {WIDER[-1]:g} times as wide helps") from problem
+
+
+def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:
     rules = task.rules
     search = FORMULATIONS[task.formulation]
     began = stopwatch()
     path = search(task.formation, task.start, task.target.source, task.hold_depth_m, task.last_scale, rules.fence)
     found = stopwatch()
     into = gather(tops_enu_m, task.formation.place(task.start), rules)
-    approach = check([timed(path.swarm_path(into.goal_of), rules.limits)], rules, task.target_enu_m)
+    kept = {"approach": _verified([timed(path.swarm_path(into.goal_of), rules.limits)], task)}
+    approach = kept["approach"][0]
     hold = approach.sample(np.array([approach.duration_s])).position_m[0]
-    home = plan_home(hold, tops_enu_m, rules)
+    kept["home"] = _verified(plan_home(hold, tops_enu_m, rules).pieces, task)
+    kept["gather"] = _verified(into.pieces, task)
     rim = np.argsort(into.goal_of)[: len(task.formation.leaders_m)]
     return FlightPlan(
-        gather=check(into.pieces, rules, task.target_enu_m),
-        approach=approach,
-        home=check(home.pieces, rules, task.target_enu_m),
+        **{name: kept[name][0] for name in STAGES},
         slot_of=into.goal_of,
         rim_of=rim,
         figures=_figures(task, path.iterates, approach, rim),
+        faults={name: figures for name in STAGES if (figures := kept[name][1]) is not None},
+        task=task,
         plan_time_s=found - began,
         timing_time_s=stopwatch() - found,
     )
+
+
+def _verified(pieces: Sequence[Trajectory], task: Task) -> tuple[CheckedPlan, FaultFigures | None]:
+    """Verify a part of a flight.
+
+    Raises:
+        PlanError: it breaks a rule.
+    """
+    rule = task.lost_link
+    if rule is None:
+        return check(pieces, task.rules, task.target_enu_m), None
+    kept: Kept = keeping_apart(pieces, task.rules, task.target_enu_m, rule)
+    if not rule.is_kept(kept.nearest):
+        raise PlanError(too_near(kept.nearest, rule))
+    fall = min(nearest(kept.plan, [DEAD], rule.reaction))
+    slower = kept.plan.duration_s / sum(piece.duration_s for piece in pieces)
+    return kept.plan, FaultFigures(kept.nearest, fall, slower)
 
 
 def _figures(task: Task, iterates: int, approach: CheckedPlan, rim: Indices) -> ApproachFigures:
@@ -166,4 +225,44 @@ def plan_figures(system_ids: Sequence[int | str], made: FlightPlan) -> dict[str,
         "peak_acceleration_m_s2": made.peaks.acceleration_m_s2,
         "min_separation_m": made.separation.distance_m,
         "min_separation_pair": [system_ids[first], system_ids[second]],
+        **_fault_figures(system_ids, made),
+    }
+
+
+def fault_words(system_ids: Sequence[int | str], made: FlightPlan) -> list[str]:
+    """Return what is known of vehicles that stop hearing us, and of those that fall, in lines for people; or none."""
+    if not made.faults or made.task.lost_link is None:
+        return []
+    least_m = made.task.lost_link.least_m
+
+    def least(part: tuple[str, Nearest]) -> str:
+        stage, found = part
+        first, second = (system_ids[each] for each in found.pair)
+        return (
+            f"{found.distance_m:.2f} m at least, from vehicle {first} to {second}, if that is {found.heard_s:.1f} s "
+            f"into the {stage}"
+        )
+
+    slowed = [f"{name} {each.slower:.2f}" for name, each in made.faults.items() if each.slower > 1.005]
+    times = f"; it is flown slower for that: {', '.join(slowed)} times" if slowed else ""
+    lines = [f"if a vehicle stops hearing us: {least(made.nearest_in_fault)} (minimum {least_m:.2f} m){times}"]
+    if made.nearest_fall[1].distance_m < least_m:
+        lines.append(f"if a vehicle falls: {least(made.nearest_fall)}; the formation is not clear below it")
+    return lines
+
+
+def _fault_figures(system_ids: Sequence[int | str], made: FlightPlan) -> dict[str, object]:
+    """Return what is known of vehicles that stop hearing us; without a rule about it there is nothing."""
+    if not made.faults:
+        return {}
+    stage, found = made.nearest_in_fault
+    return {
+        "min_fault_separation_m": found.distance_m,
+        "min_fault_separation_pair": [system_ids[each] for each in found.pair],
+        "min_fault_separation_stage": stage,
+        "min_fault_separation_heard_s": found.heard_s,
+        "min_fault_separation_after_s": found.after_s,
+        "min_fall_separation_m": made.nearest_fall[1].distance_m,
+        "min_fall_separation_pair": [system_ids[each] for each in made.nearest_fall[1].pair],
+        "slower_for_faults": {name: figures.slower for name, figures in made.faults.items()},
     }

@@ -13,7 +13,7 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import yaw_from_enu
 from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
-from fg_gcs.plan.limits import Rules
+from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.rules import Peaks, exceeded, outside, too_close
 from fg_gcs.plan.trajectory import Sample, Trajectory, excess, place_text
 
@@ -32,6 +32,7 @@ class CheckedPlan:
     duration_s: float
     peaks: Peaks
     separation: Separation
+    limits: Limits  # that it was verified against
     gaze_enu_m: Array  # (3,) the point that every vehicle's nose points at [m; ENU]
     heading_enu: Array  # (2,) direction for a vehicle right above or below that point
 
@@ -105,7 +106,8 @@ def check(pieces: Sequence[Trajectory], rules: Rules, gaze_enu_m: Array) -> Chec
             f"at t={separation.time_s:.1f} s (minimum {rules.separation_m:.2f} m); widen the formation or the pads, "
             f"there by {rules.separation_m - separation.distance_m:.2f} m"
         )
-    return CheckedPlan(tuple(pieces), starts_s[:-1], float(starts_s[-1]), peaks, separation, gaze_enu_m, heading)
+    duration_s = float(starts_s[-1])
+    return CheckedPlan(tuple(pieces), starts_s[:-1], duration_s, peaks, separation, rules.limits, gaze_enu_m, heading)
 
 
 def _outside(piece: Trajectory, start_s: float, rules: Rules) -> PlanError:

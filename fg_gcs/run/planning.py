@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 from fg_gcs.errors import PlanError
+from fg_gcs.flight.lost_links import expected_rule
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
-from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, plan_figures
+from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, plan_figures
 from fg_gcs.wire.address import MAIN, VehicleAddress
+from fg_gcs.wire.autopilots import ARDUPILOT, PX4
+
+PROFILES: Final = MappingProxyType({"px4": PX4, "ardupilot": ARDUPILOT})
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,18 @@ class PlannedMission:
     task: Task
     flight: FlightPlan
     figures: Mapping[str, object]
+
+    @property
+    def labels(self) -> list[str | int]:
+        """What the vehicles are called, in the order of the plan's rows."""
+        several = len(self.mission.networks or {}) > 1
+        members = self.mission.swarm.members()
+        return [VehicleAddress(name if several and name else MAIN, number).label for name, number in members]
+
+    @property
+    def in_fault(self) -> list[str]:
+        """How near vehicles come when one stops hearing us, or falls, in lines for people."""
+        return fault_words(self.labels, self.flight)
 
     def draw(self, path: Path) -> None:
         """Draw the plan as a picture: png, svg or pdf, by the file's ending.
@@ -48,11 +66,10 @@ def plan(mission: Mission) -> PlannedMission:
         PlanError: there is no such plan; one line that says why, and what would help.
     """
     build({mission.plan.formulation})
-    task = mission.task()
+    task = replace(mission.task(), lost_link=expected_rule(mission, PROFILES[mission.simulator.autopilot]))
     try:
         made = compile_flight(task, mission.tops_enu_m(), time.perf_counter)
     except PlanError as error:
         raise PlanError(f"{mission.path}: {error}") from error
-    several = len(mission.networks or {}) > 1
-    labels = [VehicleAddress(name if several and name else MAIN, i).label for name, i in mission.swarm.members()]
-    return PlannedMission(mission, task, made, {"mission": str(mission.path), **plan_figures(labels, made)})
+    planned = PlannedMission(mission, made.task, made, {})
+    return replace(planned, figures={"mission": str(mission.path), **plan_figures(planned.labels, made)})

@@ -113,8 +113,12 @@ class Judgement:
     events: list[str] = field(default_factory=list)
 
 
-def judge(trial: Trial, fault_separation_m: float = 0.5) -> Judgement:
+def judge(trial: Trial, fault_separation_m: float | None = None) -> Judgement:
     """Fly a trial and return what came of it.
+
+    Args:
+        trial: what is flown, and what goes wrong.
+        fault_separation_m: how near a vehicle that could not hear us may come to others; None: as the mission says [m].
 
     Raises:
         MissionError: a table of it is wrong.
@@ -126,14 +130,15 @@ def judge(trial: Trial, fault_separation_m: float = 0.5) -> Judgement:
 class _Judge(Observer):
     """Looks at the truth while the flight is on."""
 
-    def __init__(self, trial: Trial, simulator: Simulator, fault_separation_m: float) -> None:
+    def __init__(self, trial: Trial, simulator: Simulator, fault_separation_m: float | None) -> None:
         self.found = Judgement()
         self._trial, self._simulator = trial, simulator
         rules = trial.mission.task().rules
         ids = trial.mission.swarm.ids()
         deaf = np.isin(ids, sorted(trial.unhearing))
         self._deaf_pairs = deaf[:, None] | deaf[None, :]
-        self._least_m = np.where(self._deaf_pairs, fault_separation_m - SLACK_M, rules.separation_m - NOISE_M)
+        least_m = trial.mission.limits.fault_least_m if fault_separation_m is None else fault_separation_m
+        self._least_m = np.where(self._deaf_pairs, least_m - SLACK_M, rules.separation_m - NOISE_M)
         self._worst: dict[tuple[int, int], tuple[float, float, str]] = {}
         self._failsafe: dict[int, float] = {}
         self.director: Director | None = None
@@ -206,7 +211,7 @@ class _Judge(Observer):
             found.broken.append(f"{gate.total} setpoints did not pass the last gate, though nothing was wrong")
 
 
-async def _judge(trial: Trial, fault_separation_m: float, folder: Path) -> Judgement:
+async def _judge(trial: Trial, fault_separation_m: float | None, folder: Path) -> Judgement:
     wish = wish_of(trial.mission, trial.autopilot, trial.dynamics, trial.faults, trial.impairments)
     simulator = simulator_of(trial.mission, wish, VIRTUAL_PORT)
     await simulator.start()

@@ -11,6 +11,7 @@ from typing import Final
 
 from pymavlink.dialects.v20 import all as dialect
 
+from fg_gcs.plan.lost_link import LostLink
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.messages import Heartbeat
 from fg_gcs.wire.params import Encoding
@@ -59,11 +60,17 @@ class FailsafeParameter:
         name: Parameter name.
         wanted: The value that is safe for a swarm, None when the value is only to be reported.
         reason: One line for people.
+        at_most: Whether lower values, above 0, are as safe as the wanted one.
     """
 
     name: str
     wanted: float | None
     reason: str
+    at_most: bool = False
+
+    def is_safe(self, value: float) -> bool:
+        """Say whether a value needs no change."""
+        return self.wanted is None or value == self.wanted or (self.at_most and 0.0 < value < self.wanted)
 
 
 class ReturnSetting(Enum):
@@ -131,6 +138,7 @@ class AutopilotProfile:
         land_mode: Mode that lands here.
         hovering_modes: Modes that stay where they are.
         stream_timeout: The parameter that says for how long a vehicle goes on without setpoints, and its default [s].
+        lost_link: What it does without setpoints, with the time-out that is set for a flight.
         take_off: How it leaves the ground.
         lands_by_command: NAV_LAND lands it; otherwise the mode does.
         encoding: How integer parameters travel.
@@ -148,6 +156,7 @@ class AutopilotProfile:
     land_mode: int
     hovering_modes: frozenset[int]
     stream_timeout: tuple[str, float]
+    lost_link: LostLink
     take_off: TakeOff
     lands_by_command: bool
     encoding: Encoding
@@ -242,6 +251,7 @@ PX4: Final = AutopilotProfile(
     land_mode=_PX4_MODES["LAND"],
     hovering_modes=frozenset({_PX4_MODES["LOITER"], _PX4_MODES["POSCTL"], _PX4_MODES["ALTCTL"]}),
     stream_timeout=("COM_OF_LOSS_T", 1.0),
+    lost_link=LostLink(1.0, runs_on=False, lands=True, brakes_m_s2=3.0, gains_per_s=(0.95,)),  # MPC_XY_P
     take_off=TakeOff.BY_SETPOINT,
     lands_by_command=True,
     encoding=Encoding.BYTEWISE,
@@ -255,7 +265,12 @@ PX4: Final = AutopilotProfile(
         FailsafeParameter(
             "COM_OBL_RC_ACT", 4.0, "lands when setpoints stop; by default it sinks and drifts without RC"
         ),
-        FailsafeParameter("COM_OF_LOSS_T", None, "how long setpoints may be missing before that, in seconds"),
+        FailsafeParameter(
+            "COM_OF_LOSS_T",
+            1.0,
+            "how long setpoints may be missing before that, in seconds: twenty at the least rate",
+            at_most=True,
+        ),
         FailsafeParameter("NAV_DLL_ACT", None, "what it does when our heartbeats stop"),
     ),
     returns=(
@@ -287,6 +302,7 @@ ARDUPILOT: Final = AutopilotProfile(
     land_mode=_ARDUPILOT_MODES["LAND"],
     hovering_modes=frozenset(_ARDUPILOT_MODES[name] for name in ("ALT_HOLD", "LOITER", "POSHOLD", "BRAKE")),
     stream_timeout=("GUID_TIMEOUT", 3.0),
+    lost_link=LostLink(0.75, runs_on=True, lands=False, brakes_m_s2=2.5, gains_per_s=(0.95, 1.5)),
     take_off=TakeOff.BY_COMMAND,
     lands_by_command=False,
     encoding=Encoding.CAST,
@@ -299,8 +315,18 @@ ARDUPILOT: Final = AutopilotProfile(
     ),
     failsafes=(
         FailsafeParameter("FS_GCS_ENABLE", 5.0, "lands when our heartbeats stop; by default it does nothing"),
-        FailsafeParameter("FS_GCS_TIMEOUT", None, "how long heartbeats may be missing before that, in seconds"),
-        FailsafeParameter("GUID_TIMEOUT", None, "how long it flies on after setpoints stop, in seconds"),
+        FailsafeParameter(
+            "FS_GCS_TIMEOUT",
+            5.0,
+            "how long heartbeats may be missing before that, in seconds: ten, for a link that loses a fifth of them",
+            at_most=True,
+        ),
+        FailsafeParameter(
+            "GUID_TIMEOUT",
+            0.75,
+            "how long it flies on after setpoints stop, in seconds: about as far as the others until they rest",
+            at_most=True,
+        ),
     ),
     returns=(
         _fixed("FS_GCS_ENABLE", 1.0),  # return without heartbeats for FS_GCS_TIMEOUT; it hovers until then

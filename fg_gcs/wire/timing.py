@@ -22,7 +22,7 @@ DRIFT: Final = 1e-4  # of a vehicle's clock against ours, twice what quartz has;
 SLACK_S: Final = 0.01  # stamps are whole milliseconds, and machines are busy
 LEAST_SHARE: Final = 0.5  # of the least round trip: least delays that add up to less are of a clock that has moved
 ANSWER_S: Final = 2.5  # an answer that takes longer is lost: the delay of each way may be 1 s
-OUTCOMES: Final = 32  # requests whose answers are counted: 16 s at two a second
+OUTCOMES: Final = 64  # requests whose answers are counted: half a minute on the ground, six seconds in flight
 ROUND_TRIPS: Final = 16  # of which the delay is the mean
 MOST_LATE_S: Final = 4.0  # samples come late, or a second time, by less; what is older is of another boot
 MOST_BOOT_S: Final = 120.0  # a vehicle that restarted is heard with its position before that: ArduPilot after 41 s
@@ -34,6 +34,7 @@ CONSISTENT_S: Final = 0.25  # how far the delays of such samples may differ
 MOST_LOSS: Final = 0.5  # setpoints at 20 Hz still come every tenth of a second; with 30 % each way flights complete
 MOST_DELAY_S: Final = 1.0  # at 5 m/s a vehicle is 5 m further on before it is seen, and 10 m before it hears of it
 MOST_JITTER_S: Final = 0.25  # setpoints every 50 ms would arrive five places out of order
+RARE: Final = 1e-5  # so seldom the answers of a vehicle that hears us stay away often enough to be taken for deafness
 SURE: Final = 2.0  # standard deviations: a share that is counted of few requests is not yet believed
 
 
@@ -81,6 +82,13 @@ class LinkQuality(NamedTuple):
                 f"the delay changes by {self.jitter_s:.2f} s from one message to the next (most {MOST_JITTER_S:g} s)"
             )
         return ", ".join(reasons) or None
+
+    @property
+    def misses(self) -> float:
+        """How many requests in a row remain without an answer, as good as never, while a vehicle hears us."""
+        losses = (0.0 if math.isnan(loss) else min(loss, 0.9) for loss in (self.loss_in, self.loss_out))
+        missed = 1.0 - math.prod(1.0 - loss for loss in losses)
+        return math.log(RARE) / math.log(missed) if missed > 0.0 else 0.0
 
     @property
     def _loss_out_sigma(self) -> float:
@@ -192,11 +200,13 @@ class LinkTiming:
     Attributes:
         sequence: Counts its frames: `SequenceCounter.add` for each of them.
         clock: Its clock by the stamps of its samples.
+        heard_us_s: When the newest TIMESYNC request left that was answered: then it heard us; NaN before the first [s].
     """
 
     def __init__(self) -> None:
         self.sequence = SequenceCounter()
         self.clock = BootClock()
+        self.heard_us_s = math.nan
         self._asked: dict[int, float] = {}  # requests under way: what they say [ns], and when they left [s]
         self._outcomes: deque[bool] = deque(maxlen=OUTCOMES)
         self._round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS)
@@ -219,6 +229,8 @@ class LinkTiming:
         sent_s = self._asked.pop(said_ns, None)
         if sent_s is None:
             return
+        if not sent_s <= self.heard_us_s:
+            self.heard_us_s = sent_s
         self._outcomes.append(True)
         self._round_trips_s.append(now_s - sent_s)
         self.clock.answered(vehicle_ns / 1e9, sent_s, now_s)

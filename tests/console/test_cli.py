@@ -31,6 +31,14 @@ PLAN_KEYS = [
     "peak_acceleration_m_s2",
     "min_separation_m",
     "min_separation_pair",
+    "min_fault_separation_m",
+    "min_fault_separation_pair",
+    "min_fault_separation_stage",
+    "min_fault_separation_heard_s",
+    "min_fault_separation_after_s",
+    "min_fall_separation_m",
+    "min_fall_separation_pair",
+    "slower_for_faults",
 ]
 
 
@@ -65,6 +73,7 @@ def test_plan_prints_one_json_line_a_mission_with_all_keys(capsys: pytest.Captur
         assert keys["peak_speed_m_s"] <= 10.0
         assert keys["peak_acceleration_m_s2"] <= 5.0
         assert keys["min_separation_m"] >= 1.5
+        assert keys["min_fault_separation_m"] >= 0.5
         assert keys["flux_metric"] >= 0.999
     assert front["path_length_m"] == pytest.approx(60.0, rel=0.03)
     assert behind["path_length_m"] == pytest.approx(70.8, rel=0.03)

@@ -1,0 +1,164 @@
+"""How near vehicles come when one stops hearing us: what is computed, and what follows from it for a plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fg_gcs.core.arrays import Array
+from fg_gcs.core.separation import Fence
+from fg_gcs.errors import PlanError
+from fg_gcs.flight.motions import Follow
+from fg_gcs.plan.limits import Limits, Rules
+from fg_gcs.plan.lost_link import (
+    DEAD,
+    SINK_M_S,
+    SPARE_M,
+    LostLink,
+    LostLinkRule,
+    Reaction,
+    Remedy,
+    keeping_apart,
+    nearest,
+    too_near,
+)
+from fg_gcs.plan.path.swarm_path import LinePath
+from fg_gcs.plan.trajectory import Trajectory, timed
+from fg_gcs.plan.verification import CheckedPlan, check
+from tests.plan.scenes import compiled, task
+
+PX4 = LostLink(1.0, runs_on=False, lands=True, brakes_m_s2=3.0, gains_per_s=(0.95,))
+ARDUPILOT = LostLink(0.75, runs_on=True, lands=False, brakes_m_s2=2.5, gains_per_s=(0.95, 1.5))
+BOTH = (PX4, ARDUPILOT)
+NAMES = ("px4", "ardupilot")
+REACTION = Reaction(0.6, 2.2, 0.6)
+RULES = Rules(Limits(8.0, 4.0), 1.0, Fence((-99.0, -99.0, 0.0), (99.0, 99.0, 99.0)))
+AHEAD = np.array([40.0, 0.0, 0.0])
+IN_LINE = np.array([(0.0, 0.0, 20.0), (3.0, 0.0, 20.0), (0.0, 9.0, 20.0)])  # the first flies behind the second
+GAZE = np.zeros(3)
+
+
+def line(places: Array = IN_LINE, way: Array = AHEAD) -> list[Trajectory]:
+    return [timed(LinePath(places, places + way), RULES.limits)]
+
+
+def checked(places: Array = IN_LINE, way: Array = AHEAD, slower: float = 1.0) -> CheckedPlan:
+    return check([piece.slower(slower) for piece in line(places, way)], RULES, GAZE)
+
+
+def least_m(plan: CheckedPlan, behaviour: LostLink, reaction: Reaction = REACTION) -> float:
+    return min(nearest(plan, [behaviour], reaction)).distance_m
+
+
+def rule(remedy: Remedy, least_m: float = 0.5) -> LostLinkRule:
+    return LostLinkRule(least_m, remedy, BOTH, REACTION)
+
+
+def test_who_stays_where_it_rests_is_as_far_as_planned_and_who_lands_sinks_onto_those_below() -> None:
+    places = np.array([(0.0, 0.0, 20.0), (0.0, 0.0, 14.0)])
+    plan = checked(places, np.array([0.01, 0.0, 0.0]))
+    assert least_m(plan, ARDUPILOT) == pytest.approx(6.0, abs=0.01)
+    sinking_s = REACTION.waits_s + REACTION.leaving_s - PX4.timeout_s
+    assert 6.0 - SINK_M_S * sinking_s <= least_m(plan, PX4) <= 6.0 - 0.7 * SINK_M_S * sinking_s
+    fall = min(nearest(plan, [DEAD], REACTION))
+    assert fall.distance_m < 0.3
+    assert fall.pair == (0, 1)
+    assert fall.after_s == pytest.approx(np.sqrt(2.0 * 6.0 / 9.81), abs=0.03)
+
+
+def test_nobody_is_told_of_vehicles_that_fly_far_from_each_other() -> None:
+    for behaviour in BOTH:
+        assert least_m(checked(np.array([(0.0, 0.0, 20.0), (0.0, 30.0, 20.0)])), behaviour) == pytest.approx(30.0, 1e-3)
+
+
+@pytest.mark.parametrize("behaviour", BOTH, ids=NAMES)
+def test_it_is_named_who_where_and_when(behaviour: LostLink) -> None:
+    plan = checked()
+    found = min(nearest(plan, [behaviour], REACTION))
+    assert set(found.pair) == {0, 1}
+    assert 0.0 <= found.heard_s <= plan.duration_s
+    assert -1.0 <= found.place_enu_m[0] <= 45.0
+    assert found.distance_m < 1.0  # at 8 m/s, 3 m behind each other
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.floats(0.0, 1.0),
+    st.tuples(st.integers(0, 2), st.integers(0, 2)).filter(lambda pair: pair[0] != pair[1]),
+    st.floats(0.0, 1.0),
+)
+def test_what_is_computed_is_no_farther_than_any_pair_that_is_followed_by_itself(
+    share: float, pair: tuple[int, int], after: float
+) -> None:
+    """Until its time-out one flies straight on, as ArduPilot does; the others are flown as in flight."""
+    plan = checked()
+    heard_s = share * plan.duration_s
+    stops = Follow.from_now(range(3), plan, 0.0).stopping(heard_s + REACTION.notice_s)
+    time_s = after * ARDUPILOT.timeout_s
+    place, velocity, acceleration = (part[0, pair[0]] for part in plan.sample(np.array([heard_s])))
+    deaf = place + velocity * time_s + 0.5 * acceleration * time_s**2
+    other = stops.at(heard_s + time_s).position_m[pair[1]]
+    assert least_m(plan, ARDUPILOT) <= np.linalg.norm(deaf - other) + 0.05  # a tenth of a second between two moments
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(1.0, 6.0), st.floats(1.0, 2.0))
+def test_slower_is_never_nearer_for_those_behind_each_other(slower: float, still: float) -> None:
+    for behaviour in BOTH:
+        assert least_m(checked(slower=slower * still), behaviour) >= least_m(checked(slower=slower), behaviour) - 0.1
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.6, 1.5), st.floats(0.0, 1.0))
+def test_who_notices_later_is_never_farther_from_one_that_stops_by_itself(notice_s: float, later_s: float) -> None:
+    """Who stops sooner than that one is run into, as the others are by one that runs on: there it is not so."""
+    plan = checked(slower=3.0)
+    soon, late = (least_m(plan, PX4, Reaction(s, 4.0, 0.5)) for s in (notice_s, notice_s + later_s))
+    assert late <= soon + 0.02
+
+
+def test_a_plan_is_slowed_as_far_as_it_needs_and_no_further() -> None:
+    kept = keeping_apart(line(), RULES, GAZE, rule("slow"))
+    assert rule("slow").is_kept(kept.nearest)
+    assert kept.slower[0] > 1.2
+    hasty = check([line()[0].slower(kept.slower[0] / 1.1)], RULES, GAZE)
+    assert not rule("slow").is_kept(min(nearest(hasty, BOTH, REACTION)))
+
+
+def test_a_plan_is_left_as_it_is_where_all_keep_apart_or_where_slowing_is_not_wanted() -> None:
+    wide = np.array([(0.0, 0.0, 20.0), (0.0, 9.0, 20.0)])
+    assert keeping_apart(line(wide), RULES, GAZE, rule("slow")).slower == (1.0,)
+    refused = keeping_apart(line(), RULES, GAZE, rule("refuse"))
+    assert refused.slower == (1.0,)
+    assert 'fault_remedy = "slow"' in too_near(refused.nearest, rule("refuse"))
+
+
+def test_what_no_speed_helps_is_given_up_and_said_in_one_line() -> None:
+    above = np.array([(0.0, 0.0, 30.0), (0.0, 0.0, 28.5)])
+    kept = keeping_apart(line(above), RULES, GAZE, rule("slow"))
+    assert not rule("slow").is_kept(kept.nearest)
+    text = too_near(kept.nearest, rule("slow"))
+    assert text.startswith("if vehicle 1 stops hearing us at t=")
+    assert "vehicle 2 come within" in text
+    assert "\n" not in text
+
+
+def test_a_flight_is_slowed_widened_or_refused_as_it_says() -> None:
+    plain = compiled()
+    slow = compiled(replace(task(), lost_link=rule("slow")))
+    assert plain.faults == {}
+    assert slow.approach.duration_s > 1.2 * plain.approach.duration_s
+    for name, found in slow.faults.items():
+        assert found.nearest.distance_m >= 0.5 + 0.99 * SPARE_M
+        assert found.slower == pytest.approx(getattr(slow, name).duration_s / getattr(plain, name).duration_s, rel=0.2)
+    gentle = replace(RULES.limits, speed_m_s=4.0, acceleration_m_s2=4.0)
+    calm = task(limits=gentle)
+    wide = compiled(replace(calm, lost_link=rule("widen")))
+    assert 1.0 < wide.task.formation.gyration_m / calm.formation.gyration_m <= 3.0
+    assert wide.faults["approach"].slower == pytest.approx(1.0)
+    with pytest.raises(PlanError, match=r"if vehicle \d stops hearing us at t=.* \[limits\] fault_separation_m"):
+        compiled(replace(task(), lost_link=rule("refuse")))
