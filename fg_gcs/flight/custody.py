@@ -33,13 +33,13 @@ class Custody:
     Attributes:
         asked: rows of vehicles that were asked to arm: they are ours to bring down.
         avoided: rows of those that were given up and that the present plan keeps clear of.
-        kept_clear: where those may be, as the present plan has it.
+        kept_clear: where those may be, as the present plan has it, by their rows.
     """
 
     def __init__(self, fleet: Fleet, pads_enu_m: Array, time: Callable[[], float]) -> None:
         self.asked: set[int] = set()
         self.avoided: set[int] = set()
-        self.kept_clear: list[Column] = []
+        self.kept_clear: dict[int, Column] = {}
         self._fleet = fleet
         self._pads_enu_m = pads_enu_m
         self._time = time
@@ -97,8 +97,8 @@ class Custody:
     def columns(self) -> list[Column]:
         """Return where those may be by now that were given up, down to the ground: what is planned now avoids it."""
         self.avoided.update(self.lost)
-        self.kept_clear = [self.column(row) for row in self.lost]
-        return self.kept_clear
+        self.kept_clear = {row: self.column(row) for row in self.lost}
+        return list(self.kept_clear.values())
 
     def column(self, row: int) -> Column:
         """Return where a vehicle may be by now that was given up."""
