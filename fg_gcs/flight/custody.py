@@ -35,14 +35,14 @@ class Custody:
         asked: rows of vehicles that were asked to arm: they are ours to bring down.
         avoided: rows of those that were given up and that the present plan keeps clear of.
         returns_m: at which heights vehicles return that hear nothing any more, shape (V,) [m]; None: they land.
-        kept_clear: where those may be, as the present plan has it.
+        kept_clear: where those may be, as the present plan has it, by their rows.
     """
 
     def __init__(self, fleet: Fleet, pads_enu_m: Array, time: Callable[[], float]) -> None:
         self.asked: set[int] = set()
         self.avoided: set[int] = set()
         self.returns_m: Array | None = None
-        self.kept_clear: list[Column] = []
+        self.kept_clear: dict[int, list[Column]] = {}
         self._fleet = fleet
         self._pads_enu_m = pads_enu_m
         self._time = time
@@ -100,8 +100,8 @@ class Custody:
     def columns(self) -> list[Column]:
         """Return where those may be by now that were given up, down to the ground: what is planned now avoids it."""
         self.avoided.update(self.lost)
-        self.kept_clear = [column for row in self.lost for column in (self.column(row), *self._returns(row))]
-        return self.kept_clear
+        self.kept_clear = {row: [self.column(row), *self._returns(row)] for row in self.lost}
+        return [column for columns in self.kept_clear.values() for column in columns]
 
     def _returns(self, row: int) -> list[Column]:
         """Return where a vehicle climbs and comes down that hears nothing any more, unless it is seen to land.

@@ -13,7 +13,7 @@ A setpoint leaves as it is if
   than before, and the minimum is kept while both brake along their relative velocity w, over ``w^2 / (2 2 a)``, see
   `core.admissible.fastest`. Who flies straight at each other and is faster breaks the minimum whatever the limits let
   it do, and who passes on straight lines may be as fast as it likes, so that verified plans pass. Likewise to where
-  vehicles are reported that get no setpoints, and to what is kept clear (`Custody.kept_clear`), there by the least
+  vehicles are reported that get no setpoints, and to what is kept clear of those (`Custody.kept_clear`), by the least
   clearance that ways home are planned with.
 
 What does not pass becomes the nearest setpoint that does (`core.mending.nearest`); that of a pair of which both come
@@ -29,7 +29,7 @@ against each other far enough to have met.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -112,7 +112,9 @@ class Gate:
         kept_clear: tells what the plans that are flown keep clear.
     """
 
-    def __init__(self, fleet: Reported, rules: Rules, kept_clear: Callable[[], Sequence[Column]] = tuple) -> None:
+    def __init__(
+        self, fleet: Reported, rules: Rules, kept_clear: Callable[[], Mapping[int, Sequence[Column]]] = dict
+    ) -> None:
         mending.build()  # no round waits for a compiler
         count = len(fleet.armed)
         self._fleet, self._kept_clear = fleet, kept_clear
@@ -153,8 +155,7 @@ class Gate:
         if rows is not self._rows:
             self._rows, self._all_sent = rows, len(np.unique(rows)) == len(self._told)
             self._built = np.empty((0, 3))
-        columns = self._kept_clear()
-        around = self._nothing if self._all_sent and not columns else self._around(rows, columns, now_s)
+        around = self._nothing if self._all_sent else self._around(rows, now_s)
         codes = self._codes[: len(rows)]
         while True:
             failed = admissible.judge(
@@ -224,12 +225,15 @@ class Gate:
                 return
             most = count
 
-    def _around(self, rows: NDArray[np.int_], columns: Sequence[Column], now_s: float) -> Around:
+    def _around(self, rows: NDArray[np.int_], now_s: float) -> Around:
         """Return what is kept away from beside the round's own setpoints."""
         unsent, places = self._fleet.armed, self._fleet.positions_enu_m(now_s)
         unsent[rows] = False
         unsent &= np.isfinite(places).all(axis=1)
         points = [(*place, self._apart_m) for place in places[unsent].tolist()]
+        sent = set(rows.tolist())  # of who is still told where to be, that counts
+        kept_clear = self._kept_clear().items()
+        columns = [column for row, columns in kept_clear if row not in sent for column in columns]
         points += [(*column.place_enu_m, self._clear_m) for column in columns if column.place_enu_m is not None]
         lines = [
             (*column.start_enu_m, *column.end_enu_m, column.top_m + self._clear_m, column.radius_m + self._clear_m)

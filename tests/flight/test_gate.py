@@ -159,7 +159,8 @@ def test_a_vehicle_that_gets_no_setpoints_is_kept_away_from_where_it_is_reported
 @pytest.mark.parametrize("above", [False, True])
 def test_what_plans_keep_clear_is_not_entered(above: bool) -> None:
     column = Column((3.0, -9.0), (3.0, 9.0), 4.0 if above else 12.0, 1.0)
-    gate, rows, place, speed = Gate(Reports(grid(1)), RULES, lambda: [column]), np.array([0]), -3.0, 0.0
+    two = Reports(grid(2), [True, False])
+    gate, rows, place, speed = Gate(two, RULES, lambda: {1: [column]}), np.array([0]), -3.0, 0.0
     passed = gate.passed(rows, still(grid(1)), 0.0)
     for turn in range(1, 200):
         wanted = still(np.array([(place, -3.0, 6.0)]))

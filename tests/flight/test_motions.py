@@ -135,8 +135,8 @@ def test_a_heading_that_is_no_number_is_forgotten() -> None:
 @given(seed=st.integers(0, 999), deceleration=st.floats(0.5, 9.0))
 def test_braking_leads_straight_on_and_to_rest(seed: int, deceleration: float) -> None:
     random = np.random.default_rng(seed)
-    position, velocity, acceleration = random.normal(size=(3, 4, 3))
-    last = SwarmSetpoint(position, velocity, acceleration, random.normal(size=4))
+    position, velocity, push = random.normal(size=(3, 4, 3))
+    last = SwarmSetpoint(position, velocity, push, random.normal(size=4))
     last.velocity_m_s[0] = 0.0
     motion = Braking(range(4), last, 5.0, deceleration)
     assert all((now == then).all() for now, then in zip(motion.at(5.0)[:2], last[:2], strict=True))
