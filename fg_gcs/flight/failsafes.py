@@ -148,6 +148,8 @@ class Failsafes:
         """
         now_s = self._journal.time()
         down = [v for v in self._found if not v.armed and now_s - v.heard_at_s < HEARD_S]
+        for vehicle in down:
+            self._set.pop(vehicle, None)  # or the watch, which still runs, would set it again
         try:
             await self._fleet.ask(
                 down,

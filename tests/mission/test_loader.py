@@ -83,6 +83,12 @@ def test_the_missions_that_come_along_are_good(path: Path) -> None:
             "[networks] west: has no endpoint; accepted: one or more",
         ),
         ("separation_m = 1.5", "separation_m = 1.9", "[limits] separation_m: 1.9 m, but the closest slots"),
+        (
+            "separation_m = 1.5",
+            "separation_m = 1.5\nfault_separation_m = 1.6",
+            "[limits] fault_separation_m: 1.6 m; accepted: at most 1.5 m ([limits] separation_m)",
+        ),
+        ("separation_m = 1.5", 'separation_m = 1.5\nfault_remedy = "stop"', "[limits] fault_remedy"),
         ("followers = 5", "followers = 7", "[formation] shape: a hemisphere of 4 leaders has 0, 1, 4 or 5 followers"),
         ("[1.0, 0.0, 0.0]", "[0.0, 0.0, 0.0]", "[formation] normal_enu: the normal of the face needs a direction"),
         ("[0.0, 2.5, 12.5]", "[0.0, 2.5, 4.0]", "[formation] centre_enu_m: slot"),

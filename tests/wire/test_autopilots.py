@@ -1,8 +1,10 @@
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile, TakeOff, profile_of
 
+TIME_OUTS = [(PX4, "COM_OF_LOSS_T", 1.0), (ARDUPILOT, "FS_GCS_TIMEOUT", 5.0), (ARDUPILOT, "GUID_TIMEOUT", 0.75)]
 BOTH = pytest.mark.parametrize("profile", [PX4, ARDUPILOT], ids=lambda profile: profile.name)
 
 
@@ -80,3 +82,19 @@ def test_the_table_cannot_be_changed(profile: AutopilotProfile) -> None:
         profile.modes["NEW"] = 1  # type: ignore[index]  # the point of this test
     with pytest.raises(AttributeError):
         profile.name = "other"  # type: ignore[misc]  # the point of this test
+
+
+@pytest.mark.parametrize(("profile", "name", "wanted"), TIME_OUTS)
+def test_time_outs_are_shortened_and_never_lengthened(profile: AutopilotProfile, name: str, wanted: float) -> None:
+    found = next(each for each in profile.failsafes if each.name == name)
+    assert found.wanted == wanted == float(np.float32(wanted))  # a vehicle keeps it as it is
+    assert found.is_safe(wanted)
+    assert found.is_safe(0.5 * wanted)
+    assert not found.is_safe(1.01 * wanted)
+    assert not found.is_safe(0.0)  # off, or at once
+
+
+@BOTH
+def test_what_is_planned_for_is_the_time_out_that_is_set(profile: AutopilotProfile) -> None:
+    wanted = {each.name: each.wanted for each in profile.failsafes}
+    assert profile.lost_link.timeout_s == wanted[profile.stream_timeout[0]]

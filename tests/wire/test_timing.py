@@ -291,3 +291,14 @@ def test_two_clocks_under_one_id_are_noticed() -> None:
 )
 def test_a_link_is_judged_by_its_figures(quality: LinkQuality, reason: str | None) -> None:
     assert quality.unfit() == reason
+
+
+def test_a_vehicle_is_asked_the_more_often_in_vain_before_it_counts_as_deaf_the_more_its_link_loses() -> None:
+    def misses(each_way: float) -> float:
+        return LinkQuality(each_way, each_way, 0.0, 0.0, 0.0, 64).misses
+
+    assert misses(0.0) == 0.0
+    assert misses(0.2) == pytest.approx(11.3, abs=0.1)
+    assert misses(0.05) < misses(0.1) < misses(0.2) < misses(0.3) < misses(0.9)
+    assert math.isfinite(misses(1.0))
+    assert LinkQuality(math.nan, math.nan, 0.0, 0.0, 0.0).misses == 0.0
