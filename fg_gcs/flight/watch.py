@@ -13,10 +13,11 @@ from fg_gcs.flight.context import Context
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.origins import OriginWatch
 from fg_gcs.flight.policy import ROWS, Care, Fault, FaultKind
-from fg_gcs.flight.safety import SPARE_S, Bounds, Finding, Picture, asked_s, faults, findings
+from fg_gcs.flight.safety import SPARE_S, Bounds, Finding, Picture, asked_s, delay_of, faults, findings
 from fg_gcs.flight.streamer import STALL_S
 from fg_gcs.link.clock import ticks
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
+from fg_gcs.wire.phases import Phase
 
 WATCH_S: Final = 0.05  # at 10 m/s half a metre of way
 CONFIRMED_S: Final = 0.3  # a course that is left for so long is left
@@ -68,12 +69,37 @@ class Watch:
         async for _, late_s in ticks(self._time(), WATCH_S):
             now_s = self.turned_s = self._time()
             if late_s > STALL_S:  # this program stood still: what the vehicles said meanwhile has yet to be read
-                blind_until_s = now_s + STALL_S
+                delays_s = (delay_of(vehicle) for vehicle in self._context.fleet.vehicles)
+                blind_until_s = now_s + STALL_S + 2.0 * max(delays_s)
+            elif now_s >= blind_until_s > -math.inf:
+                self._see_what_changed()
+                blind_until_s = -math.inf
             moved = self._join_origins()
             watched = WATCHED.get(self._context.journal.stage, frozenset())
-            if watched and now_s >= blind_until_s:
-                self._look(watched, now_s, moved)
+            if watched:
+                self._ask(now_s)
+                if now_s >= blind_until_s:
+                    self._look(watched, now_s, moved)
             self._attend(now_s)
+
+    def _see_what_changed(self) -> None:
+        """Give up those that began to come down, or landed, by themselves while this program stood still."""
+        context, vehicles = self._context, self._context.fleet.vehicles
+        rows = [row for row in self._watched_rows() if vehicles[row].phase in (Phase.TAKEN, Phase.LANDED)]
+        if not rows:
+            return
+        for row in rows:
+            context.custody.take(row, Care.LAND)
+        self._descents.begin(rows)
+        subject, be = vehicles_named(vehicles[row].address for row in rows), "is" if len(rows) == 1 else "are"
+        text = f"{subject} {be} on the way down, or down, by their own failsafes, as nothing was sent meanwhile"
+        context.journal.event("notice", text)
+
+    def _watched_rows(self) -> list[int]:
+        """Return the rows of the vehicles that fly for us."""
+        custody = self._context.custody
+        rows = (row for row in sorted(custody.asked) if custody.counted_on(row))
+        return [row for row in rows if not self._descents.is_begun(row)]
 
     def _join_origins(self) -> list[Finding]:
         """Join frames that have moved to the mission's anew, and return them."""
@@ -87,9 +113,7 @@ class Watch:
 
     def _look(self, watched: frozenset[FaultKind], now_s: float, moved: list[Finding]) -> None:
         context = self._context
-        rows = [row for row in sorted(context.custody.asked) if context.custody.counted_on(row)]
-        rows = [row for row in rows if not self._descents.is_begun(row)]
-        self._ask(rows, now_s)
+        rows = self._watched_rows()
         picture = self._picture(rows, now_s)
         found = self._confirmed(moved + findings(picture, context.task.rules, self._bounds), now_s)
         found = [one for one in found if one.kind in watched]
@@ -107,12 +131,12 @@ class Watch:
             self._take(fault, picture)
             self._report(fault)
 
-    def _ask(self, rows: list[int], now_s: float) -> None:
+    def _ask(self, now_s: float) -> None:
         """Ask vehicles for their time, as often as is due: by their answers they are known to hear us."""
         fleet = self._context.fleet
         if now_s - self._asked_s >= asked_s(len(fleet.vehicles)) - 0.5 * WATCH_S:
             self._asked_s = now_s
-            fleet.router.ask_for_time(fleet.vehicles[row].address for row in rows)
+            fleet.router.ask_for_time(fleet.vehicles[row].address for row in self._watched_rows())
 
     def _picture(self, rows: list[int], now_s: float) -> Picture:
         fleet = self._context.fleet
