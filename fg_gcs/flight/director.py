@@ -48,7 +48,7 @@ from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint
 from fg_gcs.link.router import Counters, Router
 from fg_gcs.mission.model import Mission
-from fg_gcs.plan.by_themselves import by_themselves
+from fg_gcs.plan.by_themselves import LEAST_M
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, plan_figures
 from fg_gcs.record.write.kept_parameters import KeptParameters
 from fg_gcs.record.write.recorder import Recorder
@@ -62,7 +62,6 @@ HEARTBEAT_DOG_S = 3.0  # our heartbeats, and the notice of silent vehicles
 BYSTANDER_DOG_S = 5.0  # what writes down
 TOLD: Mapping[Rung, str] = {Rung.LANDING: "landing apart from each other", Rung.LAND_NOW: "landing at once"}
 MOST_STOPS = 3  # asked so often to stop, the program ends without waiting for anybody to land
-VANISHED_LEAST_M = 0.8  # vehicles come no closer by themselves: half a metre, and what they drift by
 DRAIN_S = 0.2  # how often everything is written down: soon enough for a person to read along, and after a crash
 
 
@@ -457,8 +456,7 @@ class Director:
         Raises:
             VehicleError: a vehicle keeps its own way.
         """
-        rules = self.mission.task().rules
-        alone = by_themselves(plan, fleet.positions_enu_m(), rules.fence, rules.separation_m, VANISHED_LEAST_M)
+        alone = plan.alone
         if alone.heights_m is not None:
             await failsafes.set(alone)
         assert self._custody is not None, "made with the flight"
@@ -472,7 +470,7 @@ class Director:
         text = f"when this program is gone {how}: vehicles {first} and {second} are {vanished.closest_m:.2f} m apart"
         moment = f"{vanished.after_s:.1f} s into the {vanished.stage}"
         if vanished.bad:
-            moment += f"; two come closer than {VANISHED_LEAST_M:g} m from {100.0 * vanished.bad:.0f} % of all moments"
+            moment += f"; two come closer than {LEAST_M:g} m from {100.0 * vanished.bad:.0f} % of all moments"
         self.journal.event("warning" if vanished.bad else "plan", f"{text} if it is {moment}")
         self.journal.recorder.know(
             vanished_returns=failsafes.returns_m is not None,

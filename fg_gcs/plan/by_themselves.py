@@ -9,7 +9,7 @@ are computed from many moments of a flight, and the better one is chosen.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Fence
-from fg_gcs.plan.flight_plan import FlightPlan
+from fg_gcs.plan.verification import CheckedPlan
 
 MOMENTS: Final = 120  # of a flight, at which its station may be gone; fewer of a large swarm
 MOST_PAIRS: Final = 60_000  # of vehicles and moments together
@@ -32,6 +32,7 @@ WAITED_S: Final = (5.0, 60.0)  # that vehicles wait above their pads, at least a
 ABOVE_M: Final = 2.0  # that the lowest return is above the highest point of the flight
 LEVELS: Final = (1.1, 1.5)  # times the separation between two returns: autopilots' heights are off by some decimetres
 ON_GROUND_M: Final = 0.3
+LEAST_M: Final = 0.8  # two vehicles come no closer by themselves: half a metre, and what they drift by
 
 
 class Vanished(NamedTuple):
@@ -69,23 +70,23 @@ class ByThemselves(NamedTuple):
 
 
 def by_themselves(
-    plan: FlightPlan, pads_enu_m: Array, fence: Fence, separation_m: float, least_m: float
+    parts: Mapping[str, CheckedPlan], pads_enu_m: Array, fence: Fence, separation_m: float, least_m: float = LEAST_M
 ) -> ByThemselves:
     """Return how a swarm best comes down by itself.
 
     Args:
-        plan: the flight.
+        parts: of the flight, by their names; vehicles are around the target at the end of the ``approach``.
         pads_enu_m: where the vehicles stand, shape (V, 3) [m; ENU].
         fence: whose ceiling returns stay under.
         separation_m: between vehicles that fly as planned [m].
         least_m: that two of them may come to each other here [m].
     """
-    moments = _moments(plan)
+    moments = _moments(parts)
     landing = _vanished(moments, _landing(moments.stops), least_m)
     if landing.bad == 0.0:
         return ByThemselves(landing, landing)
     found = [ByThemselves(landing, landing)]
-    for heights_m in _heights(plan, moments.stops, fence, separation_m):
+    for heights_m in _heights(parts["approach"], moments.stops, fence, separation_m):
         ways_m = np.linalg.norm(moments.stops[..., :2] - pads_enu_m[:, :2], axis=-1)
         arrive_s = np.maximum(heights_m - moments.stops[..., 2], 0.0) / CLIMB_M_S + ways_m / CRUISE_M_S
         spread_s = SLOWEST * float((arrive_s.max(axis=1) - arrive_s.min(axis=1)).max())
@@ -95,9 +96,9 @@ def by_themselves(
     return min(found, key=lambda each: each.vanished.bad)  # of those that are equally good the first
 
 
-def _heights(plan: FlightPlan, stops: Array, fence: Fence, separation_m: float) -> Iterator[Array]:
+def _heights(approach: CheckedPlan, stops: Array, fence: Fence, separation_m: float) -> Iterator[Array]:
     """Yield heights to return at that may do, shape (V,) [m]: all above the whole flight, or as low as each can."""
-    last = plan.approach.sample(np.array([plan.approach.duration_s])).position_m[0]
+    last = approach.sample(np.array([approach.duration_s])).position_m[0]
     order = np.argsort(last[:, 2], kind="stable")
     ceiling_m, most_m, least_m = fence.high_enu_m[2], LEVELS[1] * separation_m, LEVELS[0] * separation_m
     own_m = stops[..., 2].max(axis=0)
@@ -121,9 +122,8 @@ class _Moments(NamedTuple):
     stops: Array  # (T, V, 3) [m]
 
 
-def _moments(plan: FlightPlan) -> _Moments:
-    parts = {"gather": plan.gather, "approach": plan.approach, "home": plan.home}
-    vehicles = len(plan.slot_of)
+def _moments(parts: Mapping[str, CheckedPlan]) -> _Moments:
+    vehicles = parts["approach"].sample(np.zeros(1)).position_m.shape[1]
     count = max(3, min(MOMENTS, MOST_PAIRS // max(1, vehicles * (vehicles - 1) // 2)))
     whole_s = sum(part.duration_s for part in parts.values())
     stages, after_s, stops = [], [], []

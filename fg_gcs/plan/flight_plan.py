@@ -14,6 +14,7 @@ from fg_gcs.core.coverage import coverage, flux_metric, least_after_facing
 from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.core.separation import Separation
 from fg_gcs.errors import PlanError
+from fg_gcs.plan.by_themselves import ByThemselves, by_themselves
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.lost_link import DEAD, Kept, LostLinkRule, Nearest, keeping_apart, nearest, too_near
@@ -28,6 +29,7 @@ Indices = NDArray[np.intp]
 
 STAGES = ("gather", "approach", "home")
 WIDER = np.arange(1.1, 3.01, 0.1)  # times its size that a formation is widened to where a mission wants that
+MOST_SLOWER = 2.0  # times that a part is flown slower for the sake of lost links; what remains is told
 FIGURES_HZ = 100.0  # density of the figures about an approach: every 0.1 m at 10 m/s
 
 
@@ -93,6 +95,7 @@ class FlightPlan:
     figures: ApproachFigures
     faults: dict[str, FaultFigures]  # by the names of the three plans; none: not computed
     task: Task  # what was planned: its formation may be wider than it was asked for
+    alone: ByThemselves  # how the swarm comes down when its station is gone
     plan_time_s: float  # flux-guided search
     timing_time_s: float  # timing, transits and checks
 
@@ -153,35 +156,45 @@ def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> 
     path = search(task.formation, task.start, task.target.source, task.hold_depth_m, task.last_scale, rules.fence)
     found = stopwatch()
     into = gather(tops_enu_m, task.formation.place(task.start), rules)
-    kept = {"approach": _verified([timed(path.swarm_path(into.goal_of), rules.limits)], task)}
-    approach = kept["approach"][0]
+    approach = timed(path.swarm_path(into.goal_of), rules.limits)
     hold = approach.sample(np.array([approach.duration_s])).position_m[0]
-    kept["home"] = _verified(plan_home(hold, tops_enu_m, rules).pieces, task)
-    kept["gather"] = _verified(into.pieces, task)
+    pieces: dict[str, Sequence[Trajectory]] = {
+        "gather": into.pieces,
+        "approach": [approach],
+        "home": plan_home(hold, tops_enu_m, rules).pieces,
+    }
+    free = {name: check(pieces[name], rules, task.target_enu_m) for name in STAGES}
+    alone = by_themselves(free, tops_enu_m * (1.0, 1.0, 0.0), rules.fence, rules.separation_m)
+    rule = task.lost_link
+    if rule is not None and alone.heights_m is not None:  # one that hears nothing hovers first
+        hovering = tuple(behaviour._replace(lands=False) for behaviour in rule.behaviours)
+        task = replace(task, lost_link=replace(rule, behaviours=hovering))
+    kept = {name: _verified(free[name], pieces[name], task) for name in STAGES}
     rim = np.argsort(into.goal_of)[: len(task.formation.leaders_m)]
     return FlightPlan(
         **{name: kept[name][0] for name in STAGES},
         slot_of=into.goal_of,
         rim_of=rim,
-        figures=_figures(task, path.iterates, approach, rim),
+        figures=_figures(task, path.iterates, kept["approach"][0], rim),
         faults={name: figures for name in STAGES if (figures := kept[name][1]) is not None},
         task=task,
+        alone=alone,
         plan_time_s=found - began,
         timing_time_s=stopwatch() - found,
     )
 
 
-def _verified(pieces: Sequence[Trajectory], task: Task) -> tuple[CheckedPlan, FaultFigures | None]:
-    """Verify a part of a flight.
+def _verified(free: CheckedPlan, pieces: Sequence[Trajectory], task: Task) -> tuple[CheckedPlan, FaultFigures | None]:
+    """Verify a part of a flight against lost links, and slow it down for them if need be.
 
     Raises:
         PlanError: it breaks a rule.
     """
     rule = task.lost_link
     if rule is None:
-        return check(pieces, task.rules, task.target_enu_m), None
-    kept: Kept = keeping_apart(pieces, task.rules, task.target_enu_m, rule)
-    if not rule.is_kept(kept.nearest):
+        return free, None
+    kept: Kept = keeping_apart(pieces, task.rules, task.target_enu_m, rule, MOST_SLOWER)
+    if not rule.is_kept(kept.nearest) and rule.remedy != "slow":
         raise PlanError(too_near(kept.nearest, rule))
     fall = min(nearest(kept.plan, [DEAD], rule.reaction))
     slower = kept.plan.duration_s / sum(piece.duration_s for piece in pieces)
@@ -245,6 +258,8 @@ def fault_words(system_ids: Sequence[int | str], made: FlightPlan) -> list[str]:
 
     slowed = [f"{name} {each.slower:.2f}" for name, each in made.faults.items() if each.slower > 1.005]
     times = f"; it is flown slower for that: {', '.join(slowed)} times" if slowed else ""
+    if made.nearest_in_fault[1].distance_m < least_m:
+        times += f"; not even that keeps it, and slower than {MOST_SLOWER:g} times it is not flown"
     lines = [f"if a vehicle stops hearing us: {least(made.nearest_in_fault)} (minimum {least_m:.2f} m){times}"]
     if made.nearest_fall[1].distance_m < least_m:
         lines.append(f"if a vehicle falls: {least(made.nearest_fall)}; the formation is not clear below it")

@@ -36,6 +36,7 @@ SINK_M_S, SLOW_SINK_M_S = 1.5, 0.7  # speeds of a landing above HIGH_M and below
 HIGH_M, LOW_M = 10.0, 5.0  # above the ground; in between PX4 changes from one to the other
 GRAVITY_M_S2: Final = 9.81
 MARGIN, TINY_M = 1.2, 1e-3  # on what a pair may near each other in a step
+SPARE: Final = 0.2  # of the least distance, as far as that is less
 SPARE_M: Final = 0.1  # that is planned on top of the least distance: vehicles are off their setpoints
 VELOCITY_GAIN_PER_S: Final = 3.0  # how quickly a multicopter takes up a velocity: 1.8 to 4 in both autopilots
 BRAKING_SHARE: Final = 0.6  # of what a vehicle brakes by, which it plans with when it goes to a place
@@ -110,7 +111,7 @@ class LostLinkRule:
 
     def is_kept(self, found: Nearest) -> bool:
         """Say whether vehicles that come so near are far enough from each other."""
-        return not too_close(found.distance_m, self.least_m + SPARE_M)
+        return not too_close(found.distance_m, self.least_m + min(SPARE_M, SPARE * self.least_m))
 
 
 class Kept(NamedTuple):

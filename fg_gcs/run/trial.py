@@ -76,7 +76,7 @@ class Trial:
     @property
     def faultless(self) -> bool:
         """Whether nothing goes wrong."""
-        return not (self.faults or self.impairments or self.stops)
+        return not (self.faults or self.impairments or self.stops or self.disk_full)
 
     @property
     def unhearing(self) -> frozenset[int]:

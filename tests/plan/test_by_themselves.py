@@ -10,13 +10,11 @@ import pytest
 
 from fg_gcs.core.separation import Fence
 from fg_gcs.mission import Mission, parse_mission
-from fg_gcs.plan.by_themselves import ByThemselves, by_themselves
+from fg_gcs.plan.by_themselves import LEAST_M, ByThemselves, by_themselves
 from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
 from fg_gcs.run.trial import Trial, judge
 from tests.flight.harness import AUTOPILOTS
 from tests.run.test_recover import UPRIGHT
-
-LEAST_M = 0.8
 
 
 @cache
@@ -31,7 +29,8 @@ def planned(text: str) -> tuple[Mission, FlightPlan, np.ndarray]:
 def chosen(text: str, fence: Fence | None = None) -> ByThemselves:
     mission, plan, pads = planned(text)
     rules = mission.task().rules
-    return by_themselves(plan, pads, fence or rules.fence, rules.separation_m, LEAST_M)
+    parts = {"gather": plan.gather, "approach": plan.approach, "home": plan.home}
+    return by_themselves(parts, pads, fence or rules.fence, rules.separation_m)
 
 
 def test_an_upright_formation_returns_at_heights_in_the_order_of_the_vehicles() -> None:

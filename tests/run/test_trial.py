@@ -89,7 +89,7 @@ def test_one_that_somebody_else_has_is_left_alone_and_comes_down_in_the_end(mode
 def test_one_that_does_not_hear_is_noticed_before_its_own_failsafe_acts(autopilot: str) -> None:
     mute = {"direction": "to_vehicle", "loss": 1.0, "vehicles": [4], "stage": "hold", "at_s": 1.0, "for_s": 6.0}
     found = judged(autopilot, impairments=(mute,))
-    noticed, given_up = "vehicle 4 does not seem to hear us", {"px4": "has a failsafe of its own (LAND)"}
+    noticed, given_up = "vehicle 4 does not seem to hear us", {"px4": "has a failsafe of its own (LOITER)"}
     later = f"vehicle 4 {given_up.get(autopilot, 'does not fly where it is told to')}"
     assert noticed in said(found)
     assert said(found).index(noticed) < said(found).index(later)
