@@ -467,11 +467,11 @@ class Director:
         if failsafes.returns_m is not None:
             lowest_m, highest_m = failsafes.returns_m.min(), failsafes.returns_m.max()
             how = f"all hover, return at heights of their own from {lowest_m:.1f} to {highest_m:.1f} m, and land"
-        text = f"when this program is gone {how}: vehicles {first} and {second} are {vanished.closest_m:.2f} m apart"
+        text = f"when this program is gone {how}: vehicles {first} and {second} come within {vanished.closest_m:.2f} m"
         moment = f"{vanished.after_s:.1f} s into the {vanished.stage}"
         if vanished.bad:
             moment += f"; two come closer than {LEAST_M:g} m from {100.0 * vanished.bad:.0f} % of all moments"
-        self.journal.event("warning" if vanished.bad else "plan", f"{text} if it is {moment}")
+        self.journal.event("warning" if vanished.bad else "plan", f"{text} ({moment})")
         self.journal.recorder.know(
             vanished_returns=failsafes.returns_m is not None,
             vanished_separation_m=vanished.closest_m,

@@ -29,7 +29,7 @@ Indices = NDArray[np.intp]
 
 STAGES = ("gather", "approach", "home")
 WIDER = np.arange(1.1, 3.01, 0.1)  # times its size that a formation is widened to where a mission wants that
-MOST_SLOWER = 2.0  # times that a part is flown slower for the sake of lost links; what remains is told
+MOST_SLOWER = 3.0  # times that a part is flown slower for the sake of lost links; what remains is told
 FIGURES_HZ = 100.0  # density of the figures about an approach: every 0.1 m at 10 m/s
 
 

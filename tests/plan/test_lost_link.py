@@ -13,10 +13,12 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Fence
 from fg_gcs.errors import PlanError
 from fg_gcs.flight.motions import Follow
+from fg_gcs.plan.flight_plan import MOST_SLOWER
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.lost_link import (
     DEAD,
     SINK_M_S,
+    SLOWER,
     SPARE_M,
     LostLink,
     LostLinkRule,
@@ -153,7 +155,8 @@ def test_a_flight_is_slowed_widened_or_refused_as_it_says() -> None:
     assert plain.faults == {}
     assert slow.approach.duration_s > 1.2 * plain.approach.duration_s
     for name, found in slow.faults.items():
-        assert found.nearest.distance_m >= 0.5 + 0.99 * SPARE_M
+        # Kept, or as slow as a flight gets for it
+        assert found.nearest.distance_m >= 0.5 + 0.99 * SPARE_M or MOST_SLOWER / SLOWER < found.slower <= MOST_SLOWER
         assert found.slower == pytest.approx(getattr(slow, name).duration_s / getattr(plain, name).duration_s, rel=0.2)
     gentle = replace(RULES.limits, speed_m_s=4.0, acceleration_m_s2=4.0)
     calm = task(limits=gentle)
