@@ -100,7 +100,7 @@ class Custody:
     def columns(self) -> list[Column]:
         """Return where those may be by now that were given up, down to the ground: what is planned now avoids it."""
         self.avoided.update(self.lost)
-        self.kept_clear = {row: [self.column(row), *self._returns(row)] for row in self.lost}
+        self.kept_clear = {row: [self.column(row), *self._as_told(row), *self._returns(row)] for row in self.lost}
         return [column for columns in self.kept_clear.values() for column in columns]
 
     def _returns(self, row: int) -> list[Column]:
@@ -138,16 +138,22 @@ class Custody:
         return self._unheard(row, vehicle, place)
 
     def _unheard(self, row: int, vehicle: Vehicle, place: Array) -> Column:
-        """Where it was last, where that velocity may have led it, and where it was told to be."""
+        """Where it was last, and where that velocity may have led it."""
         north, east, down = vehicle.velocity_ned_m_s or (0.0, 0.0, 0.0)
         velocity = np.array([east, north, -down])
         speed = float(np.linalg.norm(velocity))
         on_s = vehicle.stream_timeout_s + 0.5 * speed / BRAKES_M_S2
         away = place + on_s * velocity
-        told = self._told_enu_m.get(row, place)
-        radius_m = UNHEARD_M + _from_line(told[:2], place[:2], away[:2])
-        column = _around(place, away, max(place[2], away[2], told[2]) + RISES_M, radius_m)
-        return column._replace(place_enu_m=_point(told))
+        column = _around(place, away, max(place[2], away[2]) + RISES_M, UNHEARD_M)
+        return column._replace(place_enu_m=_point(self._told_enu_m.get(row, place)))
+
+    def _as_told(self, row: int) -> list[Column]:
+        """Where it is if it is not heard, but has heard us: on the way to where it was told to be."""
+        told, place = self._told_enu_m.get(row), self._fleet.positions_enu_m()[row]
+        heard = self._time() - self._fleet.vehicles[row].position_at_s < FRESH_S
+        if heard or told is None or not np.isfinite(place).all():
+            return []
+        return [_around(place, told, max(place[2], told[2]) + RISES_M, UNHEARD_M)]
 
     def is_blocked(self, row: int) -> bool:
         """Say whether a mode leads a vehicle to its pad, and another one of ours is there."""

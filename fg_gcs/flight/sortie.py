@@ -207,7 +207,7 @@ class Sortie:
         """Land vehicles on the spot, and wait until they are on the ground, motors off.
 
         Raises:
-            VehicleError: one fell silent on its way; the others are down.
+            VehicleError: one fell silent on its way, or was disarmed in the air; the others are down.
         """
         with self._journal.in_stage("land"):
             self._descents.begin(rows)
@@ -215,6 +215,9 @@ class Sortie:
         lost = [self._fleet.vehicles[row].address for row in rows if not self._descents.is_down(row)]
         if lost:
             raise VehicleError(f"lost while landing: {vehicles_named(lost)}")
+        fell = [self._fleet.vehicles[row].address for row in rows if self._fleet.vehicles[row].fell]
+        if fell:
+            raise VehicleError(f"disarmed in the air while landing: {vehicles_named(fell)}")
 
     async def _at_rest(self) -> Motion:
         """Stop on the path, or on the trajectory that is verified for it; return the motion that rests."""

@@ -96,7 +96,7 @@ def _muted(direction: str) -> Callable[[_Making], None]:
 
 
 def _poor_link(it: _Making) -> None:
-    loss = float(np.round(it.draw.uniform(0.0, 0.2), 2))
+    loss = float(np.round(it.draw.uniform(0.01, 0.2), 2))
     it.impairments.append({"loss": loss})
 
 

@@ -34,6 +34,7 @@ QUEUE_LENGTH: Final = 512  # texts and changes kept for whoever reads them; the 
 ARMING: Final = "arm"  # name of the request for it
 OVERTAKING_S: Final = 0.6  # what was sent so long before a heartbeat came had arrived when that heartbeat was sent
 _ARMS_S: Final = 5.0  # a vehicle that was asked to arm does so within that, if it does
+FELL_M: Final = 1.0  # lower than that a vehicle may call itself in the air while it stands
 EVIDENCE: Final = 2  # reports in a row that it takes to believe what starts an alarm: one datagram may be a stale one
 
 _AIRBORNE: Final = frozenset(
@@ -143,6 +144,7 @@ class Vehicle:
         mode: Custom mode, None before the first heartbeat. The newest of HEARTBEAT and CURRENT_MODE.
         commanded_mode: The mode that we put it in; any other mode, once that one was seen, is a take-over.
         armed: Motors armed.
+        fell: Disarmed once while it was higher than `FELL_M` in the air, as far as it told.
         prearm_ok: Pre-arm checks are good *for the current mode*: choose the streaming mode first.
         landed_state: MAV_LANDED_STATE, 0 while unknown.
         samples: Number of finite LOCAL_POSITION_NED so far, but for those that came too late: a new number is a new
@@ -172,6 +174,7 @@ class Vehicle:
         self.mode: int | None = None
         self.commanded_mode: int | None = None
         self.armed = False
+        self.fell = False
         self.prearm_ok = False
         self.landed_state = 0
         self.samples = 0
@@ -194,6 +197,7 @@ class Vehicle:
         self._index = 0  # of the frame that is being read
         self._newest: dict[int | str, int] = {}  # indices of the newest frames that told of one thing
         self._arming_reports = self._foreign_modes = 0  # reports in a row
+        self._falls = False  # the first of them came while it was in the air
 
     @property
     def system_id(self) -> int:
@@ -367,6 +371,8 @@ class Vehicle:
             self._arming_reports = 0
             return
         self._arming_reports += 1
+        if self._arming_reports == 1:  # what it says of itself after a restart is of the ground already
+            self._falls = not armed and self.airborne and (self.height_m or 0.0) > FELL_M
         if armed:
             asked = now_s - self.asked_at_s.get(ARMING, -math.inf) < _ARMS_S
             expected = asked or dialect.MAVLINK_MSG_ID_HEARTBEAT not in self.message_at_s  # its first word
@@ -374,6 +380,7 @@ class Vehicle:
             expected = self.phase in _IN_FLIGHT and self.landed_state == dialect.MAV_LANDED_STATE_ON_GROUND
         if expected or self._arming_reports >= EVIDENCE:
             self.armed, self._arming_reports = armed, 0
+            self.fell = self.fell or self._falls
 
     def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
         self.kind = message.type

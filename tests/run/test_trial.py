@@ -157,3 +157,12 @@ def test_random_trials_break_no_law(seed: int) -> None:
 def test_stopped_while_arming_and_taking_off_everybody_is_down_at_once(after_s: float, autopilot: str) -> None:
     found = judged(autopilot, PAPER, stops=(("prepare", after_s),))
     assert found.ended_s < 0.3 + after_s + 25.0
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_vehicle_that_falls_while_it_lands_has_not_completed_its_flight(autopilot: str) -> None:
+    fault = {"kind": "reboot", "vehicles": [2], "stage": "land", "at_s": 0.1}
+    found = judged(autopilot, FOUR, faults=(fault,))
+    assert not completed(found)
+    assert found.result is not None
+    assert found.result.reason == "disarmed in the air while landing: vehicle 2"
