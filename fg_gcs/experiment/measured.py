@@ -19,6 +19,7 @@ from fg_gcs.run.flying import FlyOptions, fly_blocking
 
 MISSIONS: Final = Path("missions")
 SEEDS: Final = (0, 1, 2)
+NOT_SLOWED_M: Final = 0.001
 CLOSE_M: Final = 0.01  # a separation that hardly anything falls below: flights go on to their end
 
 TEXT = (
@@ -127,6 +128,8 @@ def _mission(name: str, seed: int, *, stopped: bool) -> Mission:
     text = path.read_text(encoding="utf-8")
     if not stopped:
         text = re.sub(r"(?m)^separation_m = [0-9.]+", f"separation_m = {CLOSE_M}", text)
+    # As fast as the recorded flights: they were not slowed for vehicles that stop hearing us
+    text = re.sub(r"(?m)^separation_m = [0-9.]+", rf"\g<0>\nfault_separation_m = {NOT_SLOWED_M}", text)
     collisions = "true" if stopped else "false"
     return parse_mission(f"{text}\n[simulator]\nseed = {seed}\ncollisions = {collisions}\n", path)
 

@@ -157,13 +157,11 @@ def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> 
     found = stopwatch()
     into = gather(tops_enu_m, task.formation.place(task.start), rules)
     approach = timed(path.swarm_path(into.goal_of), rules.limits)
+    pieces: dict[str, Sequence[Trajectory]] = {"approach": [approach], "gather": into.pieces}
+    free = {name: check(each, rules, task.target_enu_m) for name, each in pieces.items()}
     hold = approach.sample(np.array([approach.duration_s])).position_m[0]
-    pieces: dict[str, Sequence[Trajectory]] = {
-        "gather": into.pieces,
-        "approach": [approach],
-        "home": plan_home(hold, tops_enu_m, rules).pieces,
-    }
-    free = {name: check(pieces[name], rules, task.target_enu_m) for name in STAGES}
+    pieces["home"] = plan_home(hold, tops_enu_m, rules).pieces
+    free["home"] = check(pieces["home"], rules, task.target_enu_m)
     alone = by_themselves(free, tops_enu_m * (1.0, 1.0, 0.0), rules.fence, rules.separation_m)
     rule = task.lost_link
     if rule is not None and alone.heights_m is not None:  # one that hears nothing hovers first
