@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from fg_gcs.core.arrays import Array
@@ -63,22 +63,16 @@ class Failsafes:
         Raises:
             VehicleError: a vehicle keeps an unsafe value; names vehicle and parameter.
         """
-        left = [] if self._kept is None else self._kept.left()
         if alone is not None and alone.heights_m is not None:
             await self._choose_returns(alone.heights_m, alone.waits_s)
+        left = await self._left()
         for row, vehicle in enumerate(self._fleet.vehicles):
-            own = self._left_of(vehicle, left)
-            for name, wanted in self._wanted(row, vehicle).items():
-                value = vehicle.params.get(name)
-                if value is None:
-                    continue
-                if name in own and same(value, own[name][1]) and name not in self._found.get(vehicle, {}):
-                    text = f"{name} = {value:g} is left by a run that crashed; it was {own[name][0]:g}"
-                    value = own[name][0]
-                    self._journal.event("failsafe", f"vehicle {vehicle.address}: {text}")
-                if not same(value, wanted):
-                    self._found.setdefault(vehicle, {}).setdefault(name, value)
-                    self._set.setdefault(vehicle, {})[name] = wanted
+            own = {**vehicle.params, **left.get(vehicle, {}), **self._found.get(vehicle, {})}
+            wanted = {name: own[name] for name in left.get(vehicle, {})} | self._wanted(row, vehicle, own)
+            for name, value in wanted.items():
+                if name in vehicle.params and not (same(vehicle.params[name], value) and same(own[name], value)):
+                    self._found.setdefault(vehicle, {}).setdefault(name, own[name])
+                    self._set.setdefault(vehicle, {})[name] = value
         self._keep()  # before anything is changed: whatever happens, what was found can be looked up
         await self._fleet.ask(
             list(self._set),
@@ -111,9 +105,9 @@ class Failsafes:
         else:
             self.returns_m, self._waits_s = heights_m, waits_s
 
-    def _wanted(self, row: int, vehicle: Vehicle) -> dict[str, float]:
-        """Return what parameters of a vehicle are to be for this flight."""
-        unsafe = (one for one in vehicle.profile.failsafes if not one.is_safe(vehicle.params.get(one.name, math.nan)))
+    def _wanted(self, row: int, vehicle: Vehicle, own: Mapping[str, float]) -> dict[str, float]:
+        """Return what parameters of a vehicle are to be for this flight, by the user's own values."""
+        unsafe = (one for one in vehicle.profile.failsafes if not one.is_safe(own.get(one.name, math.nan)))
         wanted = {one.name: one.wanted for one in unsafe if one.wanted is not None}
         if self.returns_m is not None:
             for one in vehicle.profile.returns:
@@ -174,13 +168,35 @@ class Failsafes:
         self._journal.event("fault", text, fault=FaultKind.PARAMETER.value, vehicles=[vehicle.address.label], value=now)
         report(Fault(FaultKind.PARAMETER, (vehicle.address,), text, self._journal.time(), now))
 
-    def _left_of(self, vehicle: Vehicle, left: Sequence[Kept]) -> dict[str, tuple[float, float]]:
-        """Return a vehicle's own values that a run which did not end has changed and left so, and what it set."""
-        endpoint = self._fleet.router.endpoint_of(vehicle.address)
-        for one in left:
-            if (one.network, one.system_id, one.endpoint) == (*vehicle.address, endpoint):
-                return {name: (value, one.set[name]) for name, value in one.found.items() if name in one.set}
-        return {}
+    async def _left(self) -> dict[Vehicle, dict[str, float]]:
+        """Return vehicles' own values that runs which did not end have changed and left so; read and told once.
+
+        Raises:
+            VehicleError: a vehicle does not tell one of them.
+        """
+        left = {} if self._kept is None else {self._place(one): one for one in self._kept.left()}
+        kept = {vehicle: left[place] for vehicle, place in self._places() if place in left}
+        await self._fleet.ask(
+            kept,
+            lambda vehicle: [ReadParameters(tuple(Wanted((name,), needed=False) for name in kept[vehicle].set))],
+        )
+        found: dict[Vehicle, dict[str, float]] = {}
+        for vehicle, one in kept.items():
+            for name, value in one.set.items():
+                if name in one.found and same(vehicle.params.get(name, math.nan), value):
+                    found.setdefault(vehicle, {})[name] = one.found[name]
+                    text = f"{name} = {value:g} is left by a run that crashed; it was {one.found[name]:g}"
+                    self._journal.event("failsafe", f"vehicle {vehicle.address}: {text}")
+        return found
+
+    def _places(self) -> Iterator[tuple[Vehicle, tuple[str, int, str]]]:
+        """Yield each vehicle with what tells it from others in what is kept."""
+        for vehicle in self._fleet.vehicles:
+            yield vehicle, (*vehicle.address, self._fleet.router.endpoint_of(vehicle.address))
+
+    @staticmethod
+    def _place(kept: Kept) -> tuple[str, int, str]:
+        return kept.network, kept.system_id, kept.endpoint
 
     def _keep(self) -> None:
         """Let the record have every parameter that was read, as found, and those that are set; and keep the users' own.

@@ -171,10 +171,8 @@ class Watch:
                 self._given_up_s.setdefault(row, picture.now_s)
         if care is Care.LEAVE:
             context.streamer.release(rows)
-        elif (
-            fault.kind is FaultKind.OWN_FAILSAFE
-        ):  # what comes down already must not follow a stream again, as PX4 does
-            vehicles = context.fleet.vehicles
+        elif fault.kind is FaultKind.OWN_FAILSAFE:
+            vehicles = context.fleet.vehicles  # what comes down already must not follow a stream again, as PX4 does
             self._descents.begin(row for row in rows if vehicles[row].mode == vehicles[row].profile.land_mode)
 
     def _take_back(self, found: list[Finding], rows: list[int]) -> None:

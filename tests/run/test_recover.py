@@ -14,6 +14,7 @@ from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, read_kept
 from fg_gcs.run.flying import FlyOptions
 from fg_gcs.run.flying import fly as run_mission
 from fg_gcs.run.recovering import RecoverOptions, RecoverResult, recover
+from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.host.server import Simulator, SimulatorOptions
 from tests.flight.harness import AUTOPILOTS, GROUND_PORT, OTHER_PORT, Flight, OtherStation, _Beside, mission_of
 
@@ -42,6 +43,11 @@ high_enu_m = [30.0, 30.0, 30.0]
 [takeoff]
 height_m = 2.5
 """
+
+
+def values_of(parameters: Parameters) -> dict[str, float]:
+    names = [parameters.name_at(index) for index in range(len(parameters))]
+    return {name: parameters[name] for name in names if name is not None}
 
 
 class Crash:
@@ -100,6 +106,51 @@ class Crash:
         await self.simulator.close()
         await asyncio.gather(flight, return_exceptions=True)
         return result
+
+    def run_and_fly_again(self) -> list[dict[str, float]]:
+        """Return the parameters of each vehicle that are not what they were before the first flight."""
+        with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+            return runner.run(self._fly_again())
+
+    async def _fly_again(self) -> list[dict[str, float]]:
+        mission = mission_of(self.folder, UPRIGHT)
+        simulator = Simulator(
+            SimulatorOptions(
+                autopilot=self.autopilot,
+                pads_enu_m=tuple((x, y) for x, y in mission.pads_enu_m().tolist()),
+                system_ids=mission.swarm.ids(),
+                remotes=(("127.0.0.1", GROUND_PORT),),
+            )
+        )
+        await simulator.start()
+        parameters = [vehicle.autopilot.parameters for vehicle in simulator.fleet.vehicles]
+        before = [values_of(each) for each in parameters]
+        killed = asyncio.Event()
+
+        async def kill(flight: Flight) -> None:
+            await flight.reaches(self.stage)
+            assert flight.director.fleet is not None
+            flight.director.fleet.router.close()
+            killed.set()
+
+        options = FlyOptions(
+            (f"udpin:127.0.0.1:{GROUND_PORT}",),
+            knows_origin=True,
+            logs=self.folder,
+            state=self.state,
+            write_report=False,
+        )
+        first = asyncio.ensure_future(run_mission(mission, options, [_Beside(simulator, kill)]))
+        await killed.wait()
+        first.cancel()
+        await asyncio.gather(first, return_exceptions=True)
+        assert len(read_kept(self.state)) == 4
+        await asyncio.sleep(self.later_s)
+        assert not simulator.armed.any()
+        assert (await run_mission(mission, options)).completed
+        now = [dict(values_of(each).items() - old.items()) for each, old in zip(parameters, before, strict=True)]
+        await simulator.close()
+        return now
 
     async def _watch(self) -> None:
         async for _ in ticks(asyncio.get_running_loop().time(), 0.05):
@@ -178,3 +229,10 @@ def test_without_anything_kept_vehicles_are_only_looked_at(tmp_path: Path) -> No
     ]
     assert result.in_order
     assert value == 0.0
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_without_recover_the_next_flight_puts_every_parameter_back(autopilot: str, tmp_path: Path) -> None:
+    crash = Crash(tmp_path, autopilot, "hold", 200.0)
+    assert crash.run_and_fly_again() == [{}] * 4
+    assert read_kept(crash.state) == []
