@@ -6,6 +6,7 @@ face. The normal follows the winding of the leaders by the right-hand rule.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -147,3 +148,10 @@ def facing(normal_enu: Array, up_enu: tuple[float, float, float] = (0.0, 0.0, 1.
             y /= np.linalg.norm(y)
             return np.stack((x, y, np.cross(x, y)), axis=1)
     raise AssertionError("one of three different directions always differs from the normal")
+
+
+def rolled(rotation: Array, roll_rad: float) -> Array:
+    """Return an attitude turned about its own normal, shape (3, 3): counter-clockwise as seen from the target [rad]."""
+    sin, cos = math.sin(roll_rad), math.cos(roll_rad)
+    turned: Array = rotation @ np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+    return turned

@@ -155,6 +155,11 @@ class Custody:
             return []
         return [_around(place, told, max(place[2], told[2]) + RISES_M, UNHEARD_M)]
 
+    def returns(self, row: int) -> bool:
+        """Say whether a vehicle returns at a height of its own, as is set for this flight."""
+        vehicle = self._fleet.vehicles[row]
+        return self.returns_m is not None and vehicle.armed and _travels(vehicle)
+
     def is_blocked(self, row: int) -> bool:
         """Say whether a mode leads a vehicle to its pad, and another one of ours is there."""
         if not _travels(self._fleet.vehicles[row]):

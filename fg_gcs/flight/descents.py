@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
 from fg_gcs.flight.custody import Custody
@@ -22,6 +22,7 @@ ON_GROUND_M = 0.3  # lower than this a vehicle is disarmed rather than landed
 SURE_S = 1.0  # a heartbeat so long after the first command tells: an arm command that was under way has come by then
 SINK_M_S = 0.3  # slowest landing: PX4's last metre
 LANDING_SPARE_S = 20.0  # on top: switching modes, detecting the ground, disarming 2 s later
+RETURN_S = 180.0  # that one is left alone at least which returns: a swarm needs up to two minutes for it
 AGAIN_S = 1.0  # between two dialogues that came to nothing
 
 
@@ -33,6 +34,7 @@ class _Descent:
     patience_s: float  # how long it may be silent
     left_s: float  # since when somebody else has it: it is left alone for a while; infinite: nobody has
     mode: int | None  # in which they have it
+    returns: bool  # by itself: nobody has it
     dialogue: Dialogue | None = None
     tried: set[str] = field(default_factory=set)  # names of what it refused
     next_s: float = 0.0  # when to ask again
@@ -63,8 +65,13 @@ class Descents:
         self._under_way: dict[int, _Descent] = {}
         self._time = journal.time
 
-    def begin(self, rows: Iterable[int]) -> None:
-        """Send these vehicles no more setpoints, and bring them down."""
+    def begin(self, rows: Iterable[int], returning: Collection[int] = ()) -> None:
+        """Send these vehicles no more setpoints, and bring them down.
+
+        Args:
+            rows: of the fleet.
+            returning: those of them that return as is set for this flight, and wait above their pads for each other.
+        """
         rows, now_s = list(rows), self._time()
         self._streamer.release(rows)
         for row in rows:
@@ -72,7 +79,8 @@ class Descents:
                 vehicle = self._fleet.vehicles[row]
                 height_m = max(vehicle.height_m or 0.0, 0.0)
                 left_s = now_s if self._custody.care(row) is Care.LEAVE else math.inf
-                self._under_way[row] = _Descent(now_s, LANDING_SPARE_S + height_m / SINK_M_S, left_s, vehicle.mode)
+                patience_s = LANDING_SPARE_S + height_m / SINK_M_S
+                self._under_way[row] = _Descent(now_s, patience_s, left_s, vehicle.mode, row in returning)
 
     def is_begun(self, row: int) -> bool:
         """Say whether a vehicle is being brought down, or was."""
@@ -130,8 +138,8 @@ class Descents:
             descent.left_s, descent.mode = now_s, vehicle.mode
         if math.isinf(descent.left_s):
             return False
-        waits_s = self._taken_wait_s
-        blocked = self._custody.is_blocked(self._fleet.row_of[vehicle.address])
+        waits_s = max(self._taken_wait_s, RETURN_S if descent.returns else 0.0)
+        blocked = not descent.returns and self._custody.is_blocked(self._fleet.row_of[vehicle.address])
         if now_s - descent.left_s < waits_s and not blocked:
             return True
         if blocked:

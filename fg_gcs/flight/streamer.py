@@ -134,9 +134,9 @@ class Streamer:
             if self.motion is not None and self._engaged.any():
                 missed = k - last - 1 if last >= 0 else 0
                 self.late_ticks += missed
-                last, now_s = k, loop.time()
-                stood_s = (missed + 1) * self.period_s
-                if missed and stood_s > STALL_S and self.stalled is not None:
+                began, last, now_s = last < 0, k, loop.time()
+                stood_s = max(missed * self.period_s, late_s) + self.period_s
+                if not began and stood_s > STALL_S and self.stalled is not None:
                     self.motion = None
                     self.stalled(stood_s)
                     continue

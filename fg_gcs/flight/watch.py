@@ -20,6 +20,7 @@ from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.phases import Phase
 
 WATCH_S: Final = 0.05  # at 10 m/s half a metre of way
+FOLLOWS_S: Final = 1.0  # whoever follows setpoints again by itself does, and says so, within that
 CONFIRMED_S: Final = 0.3  # a course that is left for so long is left
 PARTED_S: Final = 8.0  # whoever is below a vehicle that is to land has had time enough to get away
 FORGETS_S: Final = (
@@ -70,9 +71,9 @@ class Watch:
             now_s = self.turned_s = self._time()
             if late_s > STALL_S:  # this program stood still: what the vehicles said meanwhile has yet to be read
                 delays_s = (delay_of(vehicle) for vehicle in self._context.fleet.vehicles)
-                blind_until_s = now_s + STALL_S + 2.0 * max(delays_s)
+                blind_until_s = now_s + FOLLOWS_S + 2.0 * max(delays_s)
             elif now_s >= blind_until_s > -math.inf:
-                self._see_what_changed()
+                self._see_what_changed(now_s)
                 blind_until_s = -math.inf
             moved = self._join_origins()
             watched = WATCHED.get(self._context.journal.stage, frozenset())
@@ -82,15 +83,21 @@ class Watch:
                     self._look(watched, now_s, moved)
             self._attend(now_s)
 
-    def _see_what_changed(self) -> None:
-        """Give up those that began to come down, or landed, by themselves while this program stood still."""
+    def _see_what_changed(self, now_s: float) -> None:
+        """Take back those that follow setpoints again after this program stood still; give up those that do not.
+
+        Whoever returns, each at a height of its own, goes on: what comes of that was computed before arming.
+        """
         context, vehicles = self._context, self._context.fleet.vehicles
-        rows = [row for row in self._watched_rows() if vehicles[row].phase in (Phase.TAKEN, Phase.LANDED)]
+        changed = [row for row in self._watched_rows() if vehicles[row].phase in (Phase.TAKEN, Phase.LANDED)]
+        rows = [row for row in changed if not vehicles[row].take_back(now_s)]
         if not rows:
             return
+        returning = [row for row in rows if context.custody.returns(row)]
         for row in rows:
-            context.custody.take(row, Care.LAND)
-        self._descents.begin(rows)
+            context.custody.take(row, Care.LEAVE if row in returning else Care.LAND)
+        context.streamer.release(rows)
+        self._descents.begin(rows, returning)
         subject, be = vehicles_named(vehicles[row].address for row in rows), "is" if len(rows) == 1 else "are"
         text = f"{subject} {be} on the way down, or down, by their own failsafes, as nothing was sent meanwhile"
         context.journal.event("notice", text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -9,7 +10,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.formation import Formation, Pose, facing, hemisphere
+from fg_gcs.core.formation import Formation, Pose, facing, hemisphere, rolled
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.core.separation import Fence
 from fg_gcs.mission.tables import (
@@ -89,6 +90,12 @@ class FormationTable(MissionTable):
     normal_enu: Point = Field(
         description="[east, north, up] of any length above 0, the direction in which the face looks there"
     )
+    roll_deg: float = Field(
+        default=0.0,
+        ge=-180.0,
+        le=180.0,
+        description="a number from -180 to 180, by how much the face is turned about that direction in degrees",
+    )
 
     def start(self) -> Pose:
         """Return where the face is before the approach.
@@ -96,7 +103,7 @@ class FormationTable(MissionTable):
         Raises:
             ValueError: the normal has no direction.
         """
-        return Pose(np.array(self.centre_enu_m), facing(np.array(self.normal_enu)))
+        return Pose(np.array(self.centre_enu_m), rolled(facing(np.array(self.normal_enu)), math.radians(self.roll_deg)))
 
     def formation(self) -> Formation:
         """Build the template.

@@ -18,6 +18,7 @@ from fg_gcs.plan.by_themselves import ByThemselves, by_themselves
 from fg_gcs.plan.formulations import FORMULATIONS, FormulationName
 from fg_gcs.plan.limits import Rules
 from fg_gcs.plan.lost_link import DEAD, Kept, LostLinkRule, Nearest, keeping_apart, nearest, too_near
+from fg_gcs.plan.roll import apart_m, clearest_roll
 from fg_gcs.plan.rules import Peaks
 from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import Trajectory, timed
@@ -284,7 +285,15 @@ def fault_words(system_ids: Sequence[int | str], made: FlightPlan) -> list[str]:
         times += f"; not even that keeps it, and slower than {MOST_SLOWER:g} times it is not flown"
     lines = [f"if a vehicle stops hearing us: {least(made.nearest_in_fault)} (minimum {least_m:.2f} m){times}"]
     if made.nearest_fall[1].distance_m < least_m:
-        lines.append(f"if a vehicle falls: {least(made.nearest_fall)}; the formation is not clear below it")
+        slots_m, start = made.task.formation.slots_m, [made.task.start]
+        roll = clearest_roll(slots_m, start)
+        words = f"if a vehicle falls: {least(made.nearest_fall)}; the formation is not clear below it"
+        if apart_m(slots_m, start) < least_m <= roll.apart_m:
+            words += (
+                f"; turned by {roll.by_deg:g} degrees ([formation] roll_deg) vehicles gather {roll.apart_m:.2f} m from "
+                "each other as seen from above"
+            )
+        lines.append(words)
     return lines
 
 

@@ -31,6 +31,7 @@ class PhaseEvent(Enum):
     AIRBORNE = "its landed state says that it is off the ground"
     LANDING_BEGAN = "it is in its land mode, and only we can have put it there"
     TAKEN_OVER = "it is in a mode that we did not command"
+    GIVEN_BACK = "it follows us again after a failsafe of its own, as nothing was sent meanwhile"
 
 
 TRANSITIONS: Final[Mapping[tuple[Phase, PhaseEvent], Phase]] = MappingProxyType(
@@ -54,7 +55,8 @@ TRANSITIONS: Final[Mapping[tuple[Phase, PhaseEvent], Phase]] = MappingProxyType(
         (Phase.LANDING, PhaseEvent.SILENT): Phase.LOST,
         (Phase.LANDED, PhaseEvent.ARMED): Phase.ARMED,  # the next flight
         (Phase.LANDED, PhaseEvent.SILENT): Phase.LOST,
-        # Sticky: a mode that comes back by itself is not given back to us
+        # Sticky: a mode that comes back by itself is not given back to us, unless we are to blame
+        (Phase.TAKEN, PhaseEvent.GIVEN_BACK): Phase.FLYING,
         (Phase.TAKEN, PhaseEvent.DISARMED): Phase.LANDED,
         (Phase.TAKEN, PhaseEvent.SILENT): Phase.LOST,
         (Phase.LOST, PhaseEvent.HEARD): Phase.DISCOVERED,  # the telemetry that follows tells the rest

@@ -323,6 +323,12 @@ class Vehicle:
         self._accepted_modes = frozenset({mode}) if self.mode == mode else frozenset({mode, self.mode})
         self._foreign_modes = 0
 
+    def take_back(self, now_s: float) -> bool:
+        """Count it as flown by us again if it is in the mode that we commanded; return whether it is."""
+        if self.phase is Phase.TAKEN and self.mode == self.commanded_mode:
+            self._apply(PhaseEvent.GIVEN_BACK, now_s)
+        return self.phase is Phase.FLYING
+
     def _judge(self, now_s: float) -> None:
         for event in self._evidence():
             self._apply(event, now_s)
