@@ -91,6 +91,13 @@ def test_the_report_tells_what_was_asked_and_what_was_flown(tmp_path: Path) -> N
     assert page.row("Bytes that were no MAVLink") == ["17"]
     assert page.row("Stage: approach") == ["4.00 s"]
     assert not any("for developers" in cell for row in page.rows for cell in row)
+    assert "if a vehicle stops hearing us" not in page.text  # a run of before that was computed
+
+
+def test_the_report_tells_what_was_computed_of_vehicles_that_hear_nothing_any_more(tmp_path: Path) -> None:
+    page = report(tmp_path, {"min_fault_separation_m": 0.63, "vanished_separation_m": 1.234})
+    assert page.row("Smallest separation if a vehicle stops hearing us") == ["≥ 0.5 m", "0.63 m", "", ""]
+    assert page.row("Smallest separation if this program is gone") == ["≥ 0.5 m", "1.23 m", "", ""]
 
 
 @pytest.mark.parametrize(

@@ -264,6 +264,7 @@ def _figures(run: EvaluatedRun) -> Iterator[Row]:
     if true_m is not None:
         truly = None if limit is None else true_m >= limit
         yield _row("Smallest true separation in the air", _text(limit, "m", None, "≥ "), "", _text(true_m, "m"), truly)
+    yield from _fault_figures(run)
     for hit in run.summary.incidents:
         yield _row("Hit", "nothing", "", hit, kept=False)
     planned, held = _text(number("flux_metric"), "", 3), _text(number("flown_flux_metric"), "", 3)
@@ -279,6 +280,18 @@ def _figures(run: EvaluatedRun) -> Iterator[Row]:
     late, period = number("setpoint_late_p99_ms"), None if asked is None else 1e3 / asked
     timely = None if late is None or period is None else late < period
     yield _row("Lateness of 99 % of the setpoints", _text(period, "ms", None, "< "), "", _text(late, "ms"), timely)
+
+
+def _fault_figures(run: EvaluatedRun) -> Iterator[Row]:
+    """What was computed of vehicles that hear nothing any more, one of them or all."""
+    least = None if run.mission is None else run.mission.limits.fault_least_m
+    for name, key in (
+        ("Smallest separation if a vehicle stops hearing us", "min_fault_separation_m"),
+        ("Smallest separation if this program is gone", "vanished_separation_m"),
+    ):
+        planned = run.number(key)
+        if planned is not None:
+            yield _row(name, _text(least, "m", None, "≥ "), _text(planned, "m"), "")
 
 
 def _tracking_figures(run: EvaluatedRun) -> Iterator[Row]:
