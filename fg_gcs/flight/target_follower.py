@@ -179,7 +179,7 @@ class TargetFollower:
         assert self._core is not None, "only what has begun is stopped"
         motion, now_s = self._formation_motion, self._time()
         assert motion is not None, "likewise"
-        if self._ended_s is None:
+        if self._ended_s is None and not self._resting:  # it comes to rest already, and more suddenly
             gaze = Gaze(now_s, motion.gaze.at(now_s), np.zeros(3))
             motion = motion.with_trajectory(self._core.replanner.stop(now_s).trajectory, gaze)
             self._stream(motion)
@@ -194,7 +194,8 @@ class TargetFollower:
         now_s = self._time()
         if wanted:
             gaze = Gaze(now_s, self._formation_motion.gaze.at(now_s), np.zeros(3))
-            self._stream(self._formation_motion.with_trajectory(self._core.replanner.stop(now_s).trajectory, gaze))
+            stopped = self._core.replanner.stop(now_s, at_once=True)
+            self._stream(self._formation_motion.with_trajectory(stopped.trajectory, gaze))
         else:
             self._wake.set()
 

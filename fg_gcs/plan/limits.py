@@ -23,6 +23,10 @@ class Limits:
         """Return the smaller of each limit and the given one, by the names of the fields."""
         return replace(self, **{name: min(getattr(self, name), value) for name, value in others.items()})
 
+    def beyond(self, times: float) -> Limits:
+        """Return limits with so many times the acceleration and the jerk."""
+        return replace(self, acceleration_m_s2=times * self.acceleration_m_s2, jerk_m_s3=times * self.jerk_m_s3)
+
 
 @dataclass(frozen=True)
 class Rules:

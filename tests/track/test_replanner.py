@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -188,6 +189,31 @@ def test_climb_descent_and_jerk_have_limits_of_their_own() -> None:
         assert velocity[:, :, 2].max() <= 2.0
         assert velocity[:, :, 2].min() >= -1.0
         assert np.linalg.norm(np.diff(acceleration, axis=0), axis=2).max() / 0.002 <= 8.0
+
+
+@pytest.mark.parametrize("limits", [Limits(10.0, 5.0), Limits(10.0, 2.5, jerk_m_s3=5.0)], ids=["px4", "ardupilot"])
+def test_a_stop_at_once_is_shorter_and_no_more_than_a_tenth_beyond_the_limits(limits: Limits) -> None:
+    ways_m = []
+    for at_s in (1.5, 3.0, 4.5, 6.0):
+        made = replanner(rules=replace(RULES, limits=limits))
+        for step in range(round(10.0 * at_s)):
+            made.replan(wandering(0, 0.1 * step), 0.1 * step)
+        before, begun = made.trajectory, made.trajectory.state(at_s).axes
+        stops = []
+        for at_once in (False, True):
+            made.trajectory = before
+            assert made.stop(at_s, at_once=at_once).taken
+            stops.append(math.dist(made.trajectory.state(made.trajectory.end_s).axes[0, :3], begun[0, :3]))
+        ways_m.append(stops)
+        np.testing.assert_allclose(made.trajectory.state(at_s).axes, begun, atol=1e-6)  # it goes on from there
+        _, _, acceleration = flown(made.trajectory, np.arange(at_s, made.trajectory.end_s, 0.002))
+        assert np.linalg.norm(acceleration, axis=2).max() <= 1.1 * limits.acceleration_m_s2 + 1e-6
+        if np.isfinite(limits.jerk_m_s3):
+            jerk = np.linalg.norm(np.diff(acceleration, axis=0), axis=2) / 0.002
+            assert jerk.max() <= 1.1 * limits.jerk_m_s3 + 0.05
+    gentle, sudden = np.array(ways_m).T
+    assert (sudden <= gentle).all()
+    assert sudden.sum() < 0.75 * gentle.sum()
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import product
 from typing import NamedTuple
@@ -24,6 +24,7 @@ from fg_gcs.core.formation import Formation, Pose
 from fg_gcs.errors import PlanError
 from fg_gcs.plan.flux_guided import plan_path
 from fg_gcs.plan.limits import Rules
+from fg_gcs.plan.pace import BEYOND
 from fg_gcs.plan.path.rigid_path import outline_of
 from fg_gcs.plan.path.splines import rotation_vector
 from fg_gcs.track.estimate.imm import Prediction
@@ -71,11 +72,15 @@ EFFORTS = (
 )
 ON_THE_SPOT = (LimitShares(0.9, 0.6), LimitShares(0.7, 0.3), LimitShares(0.4, 0.15))
 JOINED = LimitShares(0.7, 0.15)  # what follows a smooth join
+# Where somebody may be run into: as suddenly as plans come to rest then
+AT_ONCE = tuple(LimitShares(move, turn) for move, turn in product((BEYOND, 1.0, 0.85, 0.7, 0.5), (0.1, 0.3)))
+SUDDENLY_M_S3 = 40.0  # where the mission states no jerk
 GROWTH = 0.15  # share of the limits that growing may take at the outermost vehicle
 
 FAR_RADII = 1.5  # beyond this many radii the way to the target has a direction
 GAP_M_S = 2.0  # nearer, a change of velocity above this has one
 ALONG = ((1.0, 0.5, 0.5), (0.9, 0.5, 0.5))  # shares of three axes in speed and in acceleration, where one leads
+STRAIGHT = ((1.0, 0.3, 0.3), (1.0, 0.3, 0.3))  # and where it is only braked along its way
 ACROSS = ((1.0, 1.0, 1.0), (0.65, 0.65, 0.65))  # and where none does: all three may brake at once
 GENTLY_M_S2, SPARE = 0.8, 1.3  # for braking on a long way, and how much more than needed
 ENU = np.eye(3)  # axes for a move without a direction, one a column
@@ -217,10 +222,18 @@ class Replanner:
             return Replan(self.trajectory, self.mode, taken=False)
         return self._taken(self._stopped(state, state.attitude, scale, now_s), FollowMode.WAIT)
 
-    def stop(self, now_s: float) -> Replan:
-        """Come to rest as soon as the limits allow."""
+    def stop(self, now_s: float, *, at_once: bool = False) -> Replan:
+        """Come to rest.
+
+        Args:
+            now_s: from when on [s].
+            at_once: as soon as the limits allow, and a tenth beyond, as plans come to rest for a fault: somebody who
+                does not hear us may be run into.
+        """
         state = self.trajectory.state(now_s)
-        return self._taken(self._stopped(state, state.attitude, float(state.axes[0, 6]), now_s), FollowMode.WAIT)
+        braked = self._braked(state, now_s) if at_once else None
+        stopped = braked or self._stopped(state, state.attitude, float(state.axes[0, 6]), now_s)
+        return self._taken(stopped, FollowMode.WAIT)
 
     def _taken(self, trajectory: FailSafeTrajectory | None, mode: FollowMode) -> Replan:
         if trajectory is None:
@@ -258,6 +271,22 @@ class Replanner:
                 trajectories.append(FailSafeTrajectory(state.attitude, moving, turning, axes))
         soonest = sorted(trajectories, key=lambda trajectory: trajectory.end_s)
         return next((trajectory for trajectory in soonest if self._holds(trajectory)), None)
+
+    def _braked(self, state: State, now_s: float) -> FailSafeTrajectory | None:
+        """Return the trajectory whose centre soonest rests, a tenth beyond the limits, if one holds."""
+        axes, rules = _axes(state.axes[1, :3]), self._swarm.rules
+        rules = replace(rules, limits=rules.limits.beyond(BEYOND))
+        jerk_m_s3, scale = min(rules.limits.jerk_m_s3, SUDDENLY_M_S3), float(state.axes[0, 6])
+        for limit_shares in AT_ONCE:
+            moving = Axes(now_s, state.axes[:, :3] @ axes)
+            turning = self._turning(state, state.attitude, scale, now_s, limit_shares.turn, 0.0)
+            if turning is not None and moving.to_velocity(
+                np.zeros(3), self._bounds(axes, limit_shares, STRAIGHT, jerk_m_s3)
+            ):
+                trajectory = FailSafeTrajectory(state.attitude, moving, turning, axes)
+                if self._holds(trajectory, rules):
+                    return trajectory
+        return None
 
     def _join(self, state: State, attitude: Array, goal: Goal, now_s: float) -> Join | None:
         """Return what all ways to join a target smoothly have in common; None if there is no turn for them."""
@@ -370,7 +399,9 @@ class Replanner:
         bounds = Bounds(-speed, speed, -push, push, jerk)
         return turning if turning.to(goal, bounds, least_s) else None
 
-    def _bounds(self, axes: Array, limit_shares: LimitShares, per_axis: tuple[Shares, Shares]) -> Bounds:
+    def _bounds(
+        self, axes: Array, limit_shares: LimitShares, per_axis: tuple[Shares, Shares], jerk_m_s3: float | None = None
+    ) -> Bounds:
         """Bounds of the centre along its axes, the first the main one; the verification has the last word.
 
         An axis that leads up or down is no faster than climb or descent allow.
@@ -387,7 +418,8 @@ class Replanner:
         highest = np.minimum(speed, np.where(upwards, up, down))
         lowest = -np.minimum(speed, np.where(upwards, down, up))
         push = limits.acceleration_m_s2 * pushes
-        return Bounds(lowest, highest, -push, push, self._jerk_m_s3 * pushes * min(left, 1.0))
+        jerk = self._jerk_m_s3 if jerk_m_s3 is None else jerk_m_s3
+        return Bounds(lowest, highest, -push, push, jerk * pushes * min(left, 1.0))
 
     def _within(self, states: Array, hold_m: Array, scale: float) -> Array:
         """Return the centre's states for a target's, (3, 3): inside the fence, no faster up and down than it may."""
@@ -395,8 +427,9 @@ class Replanner:
         rates = -FASTEST * limits.descent_m_s, FASTEST * limits.climb_m_s
         return _inside(states, hold_m, self._box_m, self._reach_m * scale, *rates)
 
-    def _holds(self, trajectory: FailSafeTrajectory) -> bool:
-        return verify(trajectory, self._outline_m, self._swarm.rules).keeps(self._swarm.rules, self._smallest_m)
+    def _holds(self, trajectory: FailSafeTrajectory, rules: Rules | None = None) -> bool:
+        rules = rules or self._swarm.rules
+        return verify(trajectory, self._outline_m, rules).keeps(rules, self._smallest_m)
 
 
 def _axes(way: Array) -> Array:
