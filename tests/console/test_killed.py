@@ -20,7 +20,7 @@ SPEED = 4.0
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_killed_flight_gives_a_report_and_less_than_a_second_is_missing(tmp_path: Path, seed: int) -> None:
+def test_crash_no_report_a_killed_flight_gives_a_report_of_all_but_a_second(tmp_path: Path, seed: int) -> None:
     with flying(tmp_path, "--speed", f"{SPEED:g}") as process:
         wait_for(process, "ready to arm")
         time.sleep(random.Random(seed).uniform(0.5, 5.0))
