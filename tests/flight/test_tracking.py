@@ -153,18 +153,6 @@ def test_a_target_that_cannot_be_held_is_given_up_too(tmp_path: Path) -> None:
     assert flight.down_and_disarmed
 
 
-def test_a_source_that_falls_silent_for_good_is_given_up(tmp_path: Path) -> None:
-    rows = [f"{0.1 * k:.1f},lead,{15.0 - 0.1 * k:.2f},0,12" for k in range(60)]
-    (tmp_path / "seen.csv").write_text("\n".join(["time_s,target,east_m,north_m,up_m", *rows]))
-    text = moving(f'{LEAD}[targets.source]\nkind = "csv"\npath = "seen.csv"\n', "[track]\ngive_up_s = 5.0\n")
-    flight = fly(tmp_path, "px4", mission=mission_of(tmp_path, text))
-    assert flight.result is not None
-    assert flight.result.reason == "no sightings for 5 s"
-    assert flight.result.tracking is not None
-    assert flight.result.tracking.ended_s - flight.result.tracking.began_s == pytest.approx(5.9 + 5.0, abs=0.1)
-    assert flight.down_and_disarmed
-
-
 def test_a_target_that_is_never_seen_leaves_everybody_where_they_gathered(tmp_path: Path) -> None:
     flight = fly(tmp_path, "px4", mission=mission_of(tmp_path, moving(LEAD + UDP, "[track]\ngive_up_s = 5.0\n")))
     assert flight.result is not None
