@@ -162,9 +162,7 @@ class Failsafes:
         found = self._found.get(vehicle, {})
         return all(same(vehicle.params[name], value) for name, value in found.items())
 
-    def _tell(
-        self, vehicle: Vehicle, name: str, values: tuple[float, float], report: Callable[[Fault], None]
-    ) -> None:
+    def _tell(self, vehicle: Vehicle, name: str, values: tuple[float, float], report: Callable[[Fault], None]) -> None:
         """Tell once of a parameter that has changed from the value that was set to another one."""
         was, now = values
         if (vehicle.address, name, now) in self._told:

@@ -83,6 +83,21 @@ def test_what_ends_by_itself_is_a_death_too(tmp_path: Path) -> None:
     assert [fault.kind for fault in reported] == [FIRST]
 
 
+def test_what_is_cancelled_is_a_death_too_and_is_started_again(tmp_path: Path) -> None:
+    starts: list[float] = []
+
+    async def work() -> None:
+        starts.append(always())
+        await asyncio.sleep(0.1)
+        if len(starts) == 1:
+            raise asyncio.CancelledError
+        await asyncio.sleep(99.0)
+
+    _, reported = watched(tmp_path, work, 1.0, always)
+    assert len(starts) == 2
+    assert [fault.kind for fault in reported] == [FIRST]
+
+
 def test_what_raises_inside_goes_on_as_it_is(tmp_path: Path) -> None:
     async def run() -> None:
         loop = asyncio.get_running_loop()

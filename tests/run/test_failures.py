@@ -272,6 +272,23 @@ def test_row(kind: FaultKind, made: Made, tmp_path: Path) -> None:
     KEPT[kind](flight, noticed)
 
 
+TASKS: Mapping[str, Made] = {  # beside the rows above: streamer, planner, recorder, watch
+    "descents": Made("px4", 0.5, stage="home", vehicles=(), act=kill("Descents.run")),
+    "heartbeat": Made("ardupilot", 3.0, vehicles=(), act=kill("Router.keep_alive")),
+    "parameters": Made("px4", 5.0, vehicles=(), act=kill("Failsafes.watch")),
+}
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_task(name: str, tmp_path: Path) -> None:
+    flight, made_s = flown(TASKS[name], tmp_path)
+    kind = FaultKind.PROGRAM if name == "descents" else FaultKind.BYSTANDER
+    noticed = notice(flight, kind)
+    assert noticed.at_s <= made_s + TASKS[name].within_s
+    RESPONSES[ROWS[kind].rung](flight, noticed)
+    died(name)(flight, noticed)
+
+
 # --- what follows ----------------------------------------------------------------------------------------------------
 
 
