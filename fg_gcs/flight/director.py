@@ -18,7 +18,7 @@ from fg_gcs.flight.custody import Custody
 from fg_gcs.flight.descents import Descents
 from fg_gcs.flight.discovery import choose, discover
 from fg_gcs.flight.failsafes import Failsafes
-from fg_gcs.flight.fleet import STEP_S, Fleet, NotInTime
+from fg_gcs.flight.fleet import STEP_S, Fleet, NotDone
 from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.gate import LASTS_S, Gate, GateCounts
 from fg_gcs.flight.journal import Journal
@@ -36,7 +36,7 @@ from fg_gcs.flight.policy import (
     refused,
     respond,
 )
-from fg_gcs.flight.preparation import NotReady, prepare, vehicle_limits
+from fg_gcs.flight.preparation import prepare, vehicle_limits
 from fg_gcs.flight.safety import Bounds
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.sortie import Sortie
@@ -323,8 +323,8 @@ class Director:
             return
         if self._rung is Rung.GO_ON:
             kind = FaultKind.TARGET if self.journal.stage in ("approach", "hold") else FaultKind.REFUSED
-            late = error.waiting if isinstance(error, NotInTime) else ()
-            self._fault(kind, str(error), tuple(vehicle.address for vehicle in late))
+            vehicles = error.vehicles if isinstance(error, NotDone) else ()
+            self._fault(kind, str(error), tuple(vehicle.address for vehicle in vehicles))
         elif self._rung is Rung.LAND_NOW:
             self.journal.event("warning", str(error))
         else:
@@ -411,21 +411,22 @@ class Director:
         """Get vehicles ready to arm; one that does not become so is passed over, if another one can fly instead.
 
         Raises:
-            NotReady: there is no other one.
+            NotDone: there is no other one.
         """
         unready: frozenset[VehicleAddress] = frozenset()
         while True:
             fleet = await self._connect(router, wanted, unready)
-            try:
-                with self.journal.in_stage("prepare"):
+            with self.journal.in_stage("prepare"):
+                try:
                     await prepare(fleet, self.journal)
-                    return fleet, await self._prepare(fleet, failsafes)
-            except NotReady as error:
-                unready |= {vehicle.address for vehicle in error.waiting}
-                count = self.mission.swarm.vehicles
-                if wanted is not None or len(choose(router.vehicles.values(), count, None, unready)) < count:
-                    raise
-                self.journal.event("notice", f"{error}; others fly instead")
+                except NotDone as error:
+                    unready |= {vehicle.address for vehicle in error.vehicles}
+                    count = self.mission.swarm.vehicles
+                    if wanted is not None or len(choose(router.vehicles.values(), count, None, unready)) < count:
+                        raise
+                    self.journal.event("notice", f"{error}; others fly instead")
+                    continue
+                return fleet, await self._prepare(fleet, failsafes)
 
     async def _connect(
         self, router: Router, wanted: tuple[VehicleAddress, ...] | None, unready: frozenset[VehicleAddress]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from fg_gcs.errors import VehicleError
-from fg_gcs.flight.fleet import Fleet, NotInTime, until
+from fg_gcs.flight.fleet import Fleet, NotDone, NotInTime, until
 from fg_gcs.flight.journal import Journal
 from fg_gcs.plan.limits import Limits
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
@@ -22,18 +22,6 @@ MANY = 50
 AT_ONCE = 8  # questions to one vehicle at a time: streams and parameters tell themselves apart by ids and names
 
 
-class NotReady(VehicleError):
-    """Vehicles did not become ready to arm in time.
-
-    Args:
-        waiting: the vehicles.
-    """
-
-    def __init__(self, waiting: Sequence[Vehicle]) -> None:
-        self.waiting = tuple(waiting)
-        super().__init__(not_ready(waiting))
-
-
 async def prepare(fleet: Fleet, journal: Journal) -> None:
     """Get every vehicle ready to arm, its streams flowing, its origin and its limits and failsafes known.
 
@@ -42,9 +30,9 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
     that it waits in.
 
     Raises:
-        VehicleError: a vehicle refused something needed, or does not tell a parameter (that of a limit may be unknown
-            to its firmware, but not a failsafe that we set); says why as far as it told.
-        NotReady: all that is done, and vehicles are not ready in time.
+        NotDone: a vehicle refused something needed, does not tell a parameter (that of a limit may be unknown to its
+            firmware, but not a failsafe that we set), or is not ready in time; says why as far as it told.
+        VehicleError: somebody else has armed one.
     """
 
     def streams(vehicle: Vehicle) -> Iterator[Question]:
@@ -71,7 +59,7 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
             "become ready to arm",
         )
     except NotInTime as error:
-        raise NotReady(error.waiting) from error
+        raise NotDone(error.vehicles, not_ready(error.vehicles)) from error
     _refuse_armed(fleet)
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
     journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")

@@ -153,6 +153,38 @@ def test_a_target_that_cannot_be_held_is_given_up_too(tmp_path: Path) -> None:
     assert flight.down_and_disarmed
 
 
+@pytest.mark.parametrize(
+    ("silent_s", "reason"),
+    [(1.5, "the target is not caught within 7 s"), (13.0, "no sightings for 7 s")],
+    ids=["before the capture", "just before the end of the hold"],
+)
+def test_a_capture_and_a_hold_count_only_while_sightings_come(silent_s: float, reason: str, tmp_path: Path) -> None:
+    """A formation that follows a prediction has not caught the target, from which it may be 6 m away by the truth."""
+    off_m: dict[str, float] = {}
+
+    async def look(flight: Flight) -> None:
+        began_s = 0.0
+        async for _ in ticks(asyncio.get_running_loop().time(), 0.02):
+            now_s, stage = asyncio.get_running_loop().time(), flight.director.journal.stage
+            if stage == "approach" and not began_s:
+                began_s = now_s
+            if stage in ("hold", "home") and stage not in off_m:
+                assert flight.director.result.plan is not None
+                centre = flight.simulator.positions_enu_m[flight.director.result.plan.rim_of].mean(axis=0)
+                off_m[stage] = float(np.linalg.norm(centre - WAY.at(np.array([now_s - began_s]))[0]))
+
+    deaf = CIRCLING.replace(CIRCLE, f"{CIRCLE}[targets.sensor]\nsilence = [[{silent_s:g}, 1e4]]\n")
+    flight = fly(tmp_path, "px4", look, mission_of(tmp_path, deaf + "[track]\ngive_up_s = 7.0\n"))
+    result = flight.result
+    assert result is not None
+    assert result.reason == reason
+    assert not result.completed
+    assert ("hold" in off_m) == (silent_s > 4.5)
+    assert off_m.get("hold", 0.0) < 0.8 + 0.5  # the hold's depth, and half a metre for everything else
+    assert off_m["home"] > 1.5
+    assert flight.down_and_disarmed
+
+
 def test_a_target_that_is_never_seen_leaves_everybody_where_they_gathered(tmp_path: Path) -> None:
     flight = fly(tmp_path, "px4", mission=mission_of(tmp_path, moving(LEAD + UDP, "[track]\ngive_up_s = 5.0\n")))
     assert flight.result is not None
