@@ -194,12 +194,17 @@ class Failsafes:
         return found
 
     def _kept_of_runs_that_crashed(self) -> dict[Vehicle, Kept]:
-        """Return what is kept of these vehicles, by where they are heard, and their hardware where both are known."""
+        """Return what is kept of these vehicles: by where they are heard, unless that is known to be of other hardware.
+
+        Hardware with the same id that was heard elsewhere, where none of these is, is taken to have moved.
+        """
         kept: dict[Vehicle, Kept] = {}
-        left = [] if self._kept is None else self._kept.left()
-        for vehicle, place in self._places():
+        left, places = [] if self._kept is None else self._kept.left(), dict(self._places())
+        moved = [one for one in left if one.uid and self._place(one) not in places.values()]
+        for vehicle, place in places.items():
             here = [one for one in left if self._place(one) == place]
             own = [one for one in here if one.may_be(vehicle.uid)]
+            own = own or [one for one in moved if (one.uid, one.system_id) == (vehicle.uid, vehicle.system_id)]
             if own:
                 kept[vehicle] = max(own, key=lambda one: one.uid)  # rather what names its hardware
             elif here and vehicle not in self._others:
