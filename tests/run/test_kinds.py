@@ -175,7 +175,7 @@ def test_slow_positions(tmp_path: Path) -> None:
 @pytest.mark.parametrize("after_s", [0.9, 2.1, 3.0, 4.6, 5.4])
 def test_stop_while_arming(after_s: float, autopilot: str) -> None:
     """A stop while vehicles arm and take off brings all down at once."""
-    found = judged(Trial(PAPER, autopilot, stops=(("prepare", after_s),)))
+    found = judged(Trial(FOUR, autopilot, stops=(("prepare", after_s),)))
     assert found.ended_s < 0.3 + after_s + 25.0
 
 
