@@ -67,7 +67,7 @@ def test_late_heartbeat(late_s: float, tmp_path: Path) -> None:
     completes(fly(tmp_path, "px4", loop=lambda: MeddlingLoop(one)))
 
 
-def test_link_behind(tmp_path: Path) -> None:
+def test_guest_link_behind(tmp_path: Path) -> None:
     """A target's link falls three seconds behind: its stamps say so, and the flight is not told completed."""
     off_m: list[float] = []
     way = Circle((0.0, 0.0, 12.0), 15.0, 2.0)
