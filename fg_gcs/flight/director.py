@@ -16,9 +16,9 @@ from fg_gcs.errors import FgError, MissionError, PlanError, VehicleError
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.custody import Custody
 from fg_gcs.flight.descents import Descents
-from fg_gcs.flight.discovery import discover
+from fg_gcs.flight.discovery import choose, discover
 from fg_gcs.flight.failsafes import Failsafes
-from fg_gcs.flight.fleet import STEP_S, Fleet
+from fg_gcs.flight.fleet import STEP_S, Fleet, NotDone
 from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.gate import LASTS_S, Gate, GateCounts
 from fg_gcs.flight.journal import Journal
@@ -146,7 +146,7 @@ class Director:
         error = context.get("exception") or RuntimeError(context["message"])
         if self._failure is None:
             self._failure = error
-            self._report(Fault(FaultKind.PROGRAM, (), f"internal error: {error!r}", self.journal.time()))
+            self._fault(FaultKind.PROGRAM, f"internal error: {error!r}")
 
     @property
     def networks(self) -> tuple[str, ...]:
@@ -207,9 +207,7 @@ class Director:
         failsafes: list[Failsafes] = []
 
         async def on_the_ground() -> None:
-            fleet = await self._connect(router, wanted)
-            with self.journal.in_stage("prepare"):
-                task = await self._prepare(fleet, failsafes)
+            fleet, task = await self._ready(router, wanted, failsafes)
             with self.journal.in_stage("plan"):
                 plan = await self._plan(fleet, task)
                 flights.append(await self._flight(fleet, plan.task, plan))
@@ -249,18 +247,22 @@ class Director:
 
     def _stalled(self, seconds: float) -> None:
         """Say that this program stood still; nothing that was planned for then is sent now."""
-        text = f"this program stood still for {seconds:.1f} s"
-        self.journal.event("fault", text, fault=FaultKind.STALL.value, vehicles=[], value=seconds)
-        self._report(Fault(FaultKind.STALL, (), text, self.journal.time(), seconds))
+        self._fault(FaultKind.STALL, f"this program stood still for {seconds:.1f} s", (), seconds)
 
     def _gated(self, vehicles: tuple[VehicleAddress, ...]) -> None:
         """Say that a motion does not pass the gate; all come to rest, and go home from there."""
         if self.target_follower is not None:
             self.target_follower.close()
         text = f"setpoints of {vehicles_named(vehicles)} have not passed the last gate for {LASTS_S:g} s"
+        self._fault(FaultKind.GATE, text, vehicles, LASTS_S)
+
+    def _fault(
+        self, kind: FaultKind, text: str, vehicles: tuple[VehicleAddress, ...] = (), value: float | None = None
+    ) -> None:
+        """Tell of a fault that is noticed here, and take it."""
         labels = [vehicle.label for vehicle in vehicles]
-        self.journal.event("fault", text, fault=FaultKind.GATE.value, vehicles=labels, value=LASTS_S)
-        self._report(Fault(FaultKind.GATE, vehicles, text, self.journal.time(), LASTS_S))
+        self.journal.event("fault", text, fault=kind.value, vehicles=labels, value=value)
+        self._report(Fault(kind, vehicles, text, self.journal.time(), value or 0.0))
 
     def _decide(self, response: Response, text: str) -> None:
         rung = self._rung if self._decision is None else self._decision.response.rung
@@ -321,7 +323,8 @@ class Director:
             return
         if self._rung is Rung.GO_ON:
             kind = FaultKind.TARGET if self.journal.stage in ("approach", "hold") else FaultKind.REFUSED
-            self._decide(respond(kind, self._situation), str(error))
+            vehicles = error.vehicles if isinstance(error, NotDone) else ()
+            self._fault(kind, str(error), tuple(vehicle.address for vehicle in vehicles))
         elif self._rung is Rung.LAND_NOW:
             self.journal.event("warning", str(error))
         else:
@@ -402,11 +405,37 @@ class Director:
             )
         return tuple(sorted(wanted))
 
-    async def _connect(self, router: Router, wanted: tuple[VehicleAddress, ...] | None) -> Fleet:
+    async def _ready(
+        self, router: Router, wanted: tuple[VehicleAddress, ...] | None, failsafes: list[Failsafes]
+    ) -> tuple[Fleet, Task]:
+        """Get vehicles ready to arm; one that does not become so is passed over, if another one can fly instead.
+
+        Raises:
+            NotDone: there is no other one.
+        """
+        unready: frozenset[VehicleAddress] = frozenset()
+        while True:
+            fleet = await self._connect(router, wanted, unready)
+            with self.journal.in_stage("prepare"):
+                try:
+                    await prepare(fleet, self.journal)
+                except NotDone as error:
+                    unready |= {vehicle.address for vehicle in error.vehicles}
+                    count = self.mission.swarm.vehicles
+                    if wanted is not None or len(choose(router.vehicles.values(), count, None, unready)) < count:
+                        raise
+                    self.journal.event("notice", f"{error}; others fly instead")
+                    continue
+                return fleet, await self._prepare(fleet, failsafes)
+
+    async def _connect(
+        self, router: Router, wanted: tuple[VehicleAddress, ...] | None, unready: frozenset[VehicleAddress]
+    ) -> Fleet:
         setup, count = self._setup, self.mission.swarm.vehicles
         with self.journal.in_stage("connect"):
-            found = await discover(router, setup.networks, count, wanted, setup.wait_s, self.journal)
-            router.tell_shortages()
+            found = await discover(router, setup.networks, count, wanted, setup.wait_s, self.journal, unready)
+            if not unready:
+                router.tell_shortages()
             self.fleet = self._link_recorder.fleet = Fleet(router, found)
             self.result.vehicles = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.profile.name for vehicle in found})
@@ -414,9 +443,8 @@ class Director:
         return self.fleet
 
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
-        """Get the fleet ready; return the mission's task under the limits that the vehicles really have."""
+        """Set failsafes, and learn frames; return the mission's task under the limits that the vehicles really have."""
         task = self.mission.task()
-        await prepare(fleet, self.journal)
         limits = vehicle_limits(fleet, task.rules.limits, self.journal)
         failsafes.append(Failsafes(fleet, self.journal, self._setup.kept))
         await failsafes[0].set()

@@ -47,6 +47,8 @@ class Failsafes:
         self._found: dict[Vehicle, dict[str, float]] = {}  # users' own values of what is changed
         self._set: dict[Vehicle, dict[str, float]] = {}  # what they are set to
         self._files: dict[Vehicle, Kept] = {}
+        self._crashed: dict[Vehicle, Kept] = {}  # what runs that crashed have kept of them, until it is kept anew
+        self._others: set[Vehicle] = set()  # of which something is kept that is of other hardware
         self._told: set[tuple[VehicleAddress, str, float]] = set()
         self.returns_m: Array | None = None
         self._waits_s = 0.0
@@ -135,7 +137,7 @@ class Failsafes:
                 for name, value in values.items():
                     now = vehicle.params[name]
                     if not same(now, value):
-                        self._tell(vehicle, name, now, report)
+                        self._tell(vehicle, name, (value, now), report)
                         for message in write_parameter(name, value).build(vehicle):
                             router.send_message(vehicle.address, message)
                     router.send_message(vehicle.address, read(vehicle, name))
@@ -166,11 +168,13 @@ class Failsafes:
         found = self._found.get(vehicle, {})
         return all(same(vehicle.params[name], value) for name, value in found.items())
 
-    def _tell(self, vehicle: Vehicle, name: str, now: float, report: Callable[[Fault], None]) -> None:
+    def _tell(self, vehicle: Vehicle, name: str, values: tuple[float, float], report: Callable[[Fault], None]) -> None:
+        """Tell once of a parameter that has changed from the value that was set to another one."""
+        was, now = values
         if (vehicle.address, name, now) in self._told:
             return
         self._told.add((vehicle.address, name, now))
-        text = f"{name} of vehicle {vehicle.address} has changed to {now:g}; it is set again"
+        text = f"{name} of vehicle {vehicle.address} has changed from {was:g} to {now:g}; it is set again"
         self._journal.event("fault", text, fault=FaultKind.PARAMETER.value, vehicles=[vehicle.address.label], value=now)
         report(Fault(FaultKind.PARAMETER, (vehicle.address,), text, self._journal.time(), now))
 
@@ -180,8 +184,8 @@ class Failsafes:
         Raises:
             VehicleError: a vehicle does not tell one of them.
         """
-        left = {} if self._kept is None else {self._place(one): one for one in self._kept.left()}
-        kept = {vehicle: left[place] for vehicle, place in self._places() if place in left}
+        kept = self._kept_of_runs_that_crashed()
+        self._crashed |= kept
         await self._fleet.ask(
             kept,
             lambda vehicle: [ReadParameters(tuple(Wanted((name,), needed=False) for name in kept[vehicle].set))],
@@ -194,6 +198,26 @@ class Failsafes:
                     text = f"{name} = {value:g} is left by a run that crashed; it was {one.found[name]:g}"
                     self._journal.event("failsafe", f"vehicle {vehicle.address}: {text}")
         return found
+
+    def _kept_of_runs_that_crashed(self) -> dict[Vehicle, Kept]:
+        """Return what is kept of these vehicles: by where they are heard, unless that is known to be of other hardware.
+
+        Hardware with the same id that was heard elsewhere, where none of these is, is taken to have moved.
+        """
+        kept: dict[Vehicle, Kept] = {}
+        left, places = [] if self._kept is None else self._kept.left(), dict(self._places())
+        moved = [one for one in left if one.uid and self._place(one) not in places.values()]
+        for vehicle, place in places.items():
+            here = [one for one in left if self._place(one) == place]
+            own = [one for one in here if one.may_be(vehicle.uid)]
+            own = own or [one for one in moved if (one.uid, one.system_id) == (vehicle.uid, vehicle.system_id)]
+            if own:
+                kept[vehicle] = max(own, key=lambda one: one.uid)  # rather what names its hardware
+            elif here and vehicle not in self._others:
+                self._others.add(vehicle)
+                text = f"what a run that crashed has kept of vehicle {vehicle.address} is of other hardware"
+                self._journal.event("warning", f"{text} ({here[0].uid}, not {vehicle.uid}): left alone")
+        return kept
 
     def _places(self) -> Iterator[tuple[Vehicle, tuple[str, int, str]]]:
         """Yield each vehicle with what tells it from others in what is kept."""
@@ -213,14 +237,15 @@ class Failsafes:
         for vehicle in self._fleet.vehicles:
             own, to_set = self._found.get(vehicle, {}), self._set.get(vehicle, {})
             address, found = vehicle.address._asdict(), {**vehicle.params, **own}
-            rows.append({**address, "autopilot": vehicle.profile.name, "found": found, "set": to_set})
+            what = {"autopilot": vehicle.profile.name, "uid": vehicle.uid, "found": found, "set": to_set}
+            rows.append({**address, **what})
             if self._kept is None or not to_set:
                 continue
             endpoint, run = self._fleet.router.endpoint_of(vehicle.address), self._journal.recorder.folder
             kept = Kept(
                 vehicle.address.network,
                 vehicle.address.system_id,
-                "",
+                vehicle.uid,
                 endpoint,
                 vehicle.profile.name,
                 own,
@@ -231,6 +256,9 @@ class Failsafes:
             try:
                 self._kept.keep(kept)
                 self._files[vehicle] = kept
+                crashed = self._crashed.pop(vehicle, kept)
+                if crashed.name != kept.name:  # its hardware was not known then, or is not now
+                    self._kept.forget(crashed)
             except OSError as error:
                 self._journal.event(
                     "warning", f"{self._kept.folder}: {error.strerror or error}: a crash would leave {to_set}"

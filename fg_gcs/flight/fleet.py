@@ -181,7 +181,7 @@ class Fleet:
             at_once: how many questions a vehicle may have at a time; more than one if their answers cannot be confused.
 
         Raises:
-            VehicleError: one line with everything that was refused or timed out; all else was finished first.
+            NotDone: one line with everything that was refused or timed out; all else was finished first.
         """
         running = [_Script(vehicle, script(vehicle), at_once) for vehicle in vehicles]
         loop = asyncio.get_running_loop()
@@ -191,9 +191,10 @@ class Fleet:
                     self.router.send_message(one.vehicle.address, message)
             if all(one.done for one in running):
                 break
-        failures = [reason for one in running for reason in one.failures]
-        if failures:
-            raise VehicleError("; ".join(failures))
+        failed = [one for one in running if one.failures]
+        if failed:
+            text = "; ".join(reason for one in failed for reason in one.failures)
+            raise NotDone([one.vehicle for one in failed], text)
 
 
 class _Script:
@@ -233,19 +234,32 @@ class _Script:
         return messages
 
 
-class NotInTime(VehicleError):
+class NotDone(VehicleError):
+    """Vehicles that did not do what they were to do.
+
+    Args:
+        vehicles: which.
+        text: what they did not do, and why as far as they told, in one line.
+    """
+
+    def __init__(self, vehicles: Iterable[Vehicle], text: str) -> None:
+        self.vehicles = tuple(vehicles)
+        super().__init__(text)
+
+
+class NotInTime(NotDone):
     """Vehicles that did not do something in time.
 
     Args:
-        waiting: the vehicles.
+        vehicles: which.
         what: what they did not do, as in "did not land".
         timeout_s: how long they had [s].
     """
 
-    def __init__(self, waiting: Sequence[Vehicle], what: str, timeout_s: float) -> None:
-        self.waiting, self.what, self.timeout_s = tuple(waiting), what, timeout_s
-        subject = vehicles_named(vehicle.address for vehicle in waiting)
-        super().__init__(f"{subject} did not {what} within {timeout_s:g} s")
+    def __init__(self, vehicles: Sequence[Vehicle], what: str, timeout_s: float) -> None:
+        self.what, self.timeout_s = what, timeout_s
+        subject = vehicles_named(vehicle.address for vehicle in vehicles)
+        super().__init__(vehicles, f"{subject} did not {what} within {timeout_s:g} s")
 
 
 async def until(waiting: Callable[[], Sequence[Vehicle]], timeout_s: float, what: str) -> None:

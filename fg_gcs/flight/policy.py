@@ -238,7 +238,7 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
         ),
         FaultKind.TARGET: Row(
             "the target is lost, or cannot be caught",
-            "no sightings, or no capture, for `[track] give_up_s`",
+            "no sightings, no capture, or not held when the hold is to end, for `[track] give_up_s`",
             "as the mission says",
             Rung.HOME,
             data="the tracks",

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from fg_gcs.errors import VehicleError
-from fg_gcs.flight.fleet import Fleet, NotInTime, until
+from fg_gcs.flight.fleet import Fleet, NotDone, NotInTime, until
 from fg_gcs.flight.journal import Journal
 from fg_gcs.plan.limits import Limits
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import AutopilotProfile, TakeOff
-from fg_gcs.wire.commands import request_origin, set_message_interval, set_mode
+from fg_gcs.wire.commands import request_origin, request_version, set_message_interval, set_mode
 from fg_gcs.wire.dialogue import Question
 from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
@@ -30,8 +30,9 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
     that it waits in.
 
     Raises:
-        VehicleError: a vehicle refused something needed, does not tell a parameter (that of a limit may be unknown to
-            its firmware, but not a failsafe that we set), or is not ready in time; says why as far as it told.
+        NotDone: a vehicle refused something needed, does not tell a parameter (that of a limit may be unknown to its
+            firmware, but not a failsafe that we set), or is not ready in time; says why as far as it told.
+        VehicleError: somebody else has armed one.
     """
 
     def streams(vehicle: Vehicle) -> Iterator[Question]:
@@ -39,6 +40,7 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
         rate_hz = TELEMETRY_HZ[len(fleet.vehicles) > MANY]
         for stream in vehicle.profile.streams(rate_hz):
             yield set_message_interval(stream.message_id, stream.rate_hz, optional=not stream.needed)
+        yield request_version()
 
     def mode(vehicle: Vehicle) -> Iterator[Question]:
         profile = vehicle.profile
@@ -57,7 +59,7 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
             "become ready to arm",
         )
     except NotInTime as error:
-        raise VehicleError(not_ready(error.waiting)) from error
+        raise NotDone(error.vehicles, not_ready(error.vehicles)) from error
     _refuse_armed(fleet)
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
     journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")

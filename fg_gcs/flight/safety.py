@@ -126,6 +126,7 @@ def _of_one(picture: Picture, row: int, bounds: Bounds) -> Iterator[Finding]:
     address = (vehicle.address,)
     silent_s = now_s - vehicle.heard_at_s
     delay_s = delay_of(vehicle)
+    error_m = float(np.linalg.norm(picture.told_enu_m[row] - picture.positions_enu_m[row]))
     given_up_s = max(vehicle.stream_timeout_s + SPARE_S, OUTAGE_S)
     patient_s = unanswered_s(vehicle, bounds.silent_s, len(picture.vehicles))
     if silent_s > given_up_s + delay_s:
@@ -139,16 +140,14 @@ def _of_one(picture: Picture, row: int, bounds: Bounds) -> Iterator[Finding]:
         yield Finding(FaultKind.STUCK, address)
     elif now_s - vehicle.timing.heard_us_s > patient_s:  # never true while not known
         deaf = now_s - vehicle.timing.heard_us_s > given_up_s - bounds.silent_s + patient_s
-        yield Finding(FaultKind.DEAF if deaf else FaultKind.UNANSWERED, address)
+        yield Finding(FaultKind.DEAF if deaf else FaultKind.UNANSWERED, address, size=error_m)
     if vehicle.phase is Phase.TAKEN:
         kind = FaultKind.OWN_FAILSAFE if tells_of_failsafe(vehicle, now_s) else FaultKind.TAKEN
         yield Finding(kind, address, vehicle.mode_name)
     elif vehicle.phase is Phase.LANDED:
         yield Finding(FaultKind.DISARMED, address)
-    else:
-        error_m = float(np.linalg.norm(picture.told_enu_m[row] - picture.positions_enu_m[row]))
-        if error_m > bounds.off_course_m + LAG_S * picture.told_speed_m_s[row]:  # never true while not known
-            yield Finding(FaultKind.OFF_COURSE, address, size=error_m)
+    elif error_m > bounds.off_course_m + LAG_S * picture.told_speed_m_s[row]:  # never true while not known
+        yield Finding(FaultKind.OFF_COURSE, address, size=error_m)
     if vehicle.battery.remaining < bounds.battery_low:  # never true while unknown
         yield Finding(FaultKind.BATTERY, address, size=vehicle.battery.remaining)
 

@@ -105,8 +105,9 @@ class Sortie:
             target_follower.begin(origin)
             await self._followed(target_follower, lambda: target_follower.caught_s is not None)
         with self._journal.in_stage("hold"):
-            ends_s = self._journal.stage_ends_s = (target_follower.caught_s or 0.0) + self._mission.hold.duration_s
-            await self._followed(target_follower, lambda: self._time() >= ends_s)
+            ends_s = (target_follower.caught_s or 0.0) + self._mission.hold.duration_s
+            self._journal.stage_ends_s = target_follower.holds_until_s = ends_s
+            await self._followed(target_follower, lambda: self._time() >= ends_s and target_follower.holds)
         await self._home()
 
     # --- ways down -----------------------------------------------------------------------------------------------
@@ -201,7 +202,12 @@ class Sortie:
         for row, place in zip(still.rows, still.at(self._time()).position_m, strict=True):
             if not self._custody.counted_on(row) and self._streamer.engaged(row):
                 self._custody.rests(row, place)
-        return self._custody.columns()
+        columns = self._custody.columns()
+        if columns:
+            lost = vehicles_named(self._fleet.vehicles[row].address for row in self._custody.lost)
+            text = f"ways keep clear of where {lost} may be"
+            self._journal.event("clear", text, regions=[column._asdict() for column in columns])
+        return columns
 
     async def _land(self, rows: Sequence[int]) -> None:
         """Land vehicles on the spot, and wait until they are on the ground, motors off.

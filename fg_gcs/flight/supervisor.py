@@ -100,7 +100,7 @@ class Supervisor:
         """Run a task until it dies, or hangs, and end it.
 
         Raises:
-            Exception: that it died of.
+            Exception: that it died of; whatever cancels it from inside or outside ends the task, and not its owner.
             Hung: it gives no sign of life.
         """
         loop = asyncio.get_running_loop()
@@ -115,7 +115,8 @@ class Supervisor:
                 missing = missing + 1 if silent_s > duty.watchdog_s else 0
                 if missing > 1 and not task.done():
                     raise Hung(duty.name, silent_s)
-            task.result()
+            if not task.cancelled():
+                task.result()
             raise RuntimeError(f"the {duty.name} ended by itself")
         finally:
             task.cancel()

@@ -78,6 +78,7 @@ class TargetFollower:
 
     Attributes:
         turned_s: the loop's time of the newest sign of life of its task [s].
+        holds_until_s: when the formation need be around the target no longer, if it is then; infinite: not known [s].
 
     Raises:
         MissionError: a target's file cannot be read, or something in it is wrong.
@@ -94,6 +95,7 @@ class TargetFollower:
         substitutes: Substitutes,
     ) -> None:
         self.turned_s = -np.inf
+        self.holds_until_s = np.inf
         self._swarm = Swarm(task.formation, slots_m, task.hold_depth_m, task.rules)
         self._settings = mission.tracking()
         self._names = list(self._settings.weights)
@@ -216,6 +218,12 @@ class TargetFollower:
         return None if self._core is None else self._core.caught_s
 
     @property
+    def holds(self) -> bool:
+        """Whether the formation is around the target now, as far as sightings say."""
+        known = None if self._core is None else self._core.known(self._time())
+        return self._core is not None and known is not None and self._core.holds(known)
+
+    @property
     def gaze_enu_m(self) -> Array:
         """The point that all noses are turned to now, shape (3,) [m; ENU]."""
         return (
@@ -277,6 +285,8 @@ class TargetFollower:
                 if faster
                 else f"the target is not caught within {track.give_up_s:g} s"
             )
+        if now_s - self.holds_until_s > track.give_up_s:
+            return f"the target is not held again within {track.give_up_s:g} s of the end of the hold"
         return None
 
     def _patience_s(self, now_s: float) -> float:

@@ -27,7 +27,7 @@ from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, is_alive, 
 from fg_gcs.record.write.recorder import MISSION, Recorder, make_folder
 from fg_gcs.run.observing import Observer
 from fg_gcs.wire.address import MAIN
-from fg_gcs.wire.commands import write_parameter
+from fg_gcs.wire.commands import request_version, write_parameter
 from fg_gcs.wire.dialogue import Question
 from fg_gcs.wire.params import same
 from fg_gcs.wire.reading import ReadParameters, Wanted
@@ -150,6 +150,9 @@ async def _recovered(
         tried = ", ".join(str(endpoint) for endpoints in networks.values() for endpoint in endpoints)
         raise LinkError(f"no vehicle answered within {wait_s:g} s at {tried}")
     vehicles = [router.vehicles[address] for address in sorted(router.vehicles)]
+    known = {one.system_id for one in kept if one.uid}
+    asked = [vehicle for vehicle in vehicles if vehicle.system_id in known]
+    await Fleet(router, vehicles).ask(asked, _only(request_version()))  # is it the hardware that is meant?
     own = {vehicle.address: one for vehicle in vehicles if (one := _kept_of(vehicle, kept, router)) is not None}
     was = {vehicle.address: _state(vehicle) for vehicle in vehicles}
     up = [vehicle for vehicle in vehicles if vehicle.armed and vehicle.address in own]
@@ -210,8 +213,9 @@ def _only(request: Question) -> Callable[[Vehicle], Iterable[Question]]:
 
 
 def _kept_of(vehicle: Vehicle, kept: Sequence[Kept], router: Router) -> Kept | None:
-    """Return what is kept of a vehicle; of several with its id that of where it is heard."""
+    """Return what is kept of a vehicle, and not of other hardware; of several with its id that of where it is heard."""
     alike = [one for one in kept if one.system_id == vehicle.system_id and one.autopilot == vehicle.profile.name]
+    alike = [one for one in alike if one.may_be(vehicle.uid)]
     if len(alike) > 1:
         here = router.endpoint_of(vehicle.address)
         alike = [one for one in alike if one.endpoint == here]

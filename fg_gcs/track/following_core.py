@@ -17,6 +17,7 @@ from fg_gcs.track.follow.fail_safe import FailSafeTrajectory
 from fg_gcs.track.follow.replanner import RUN_ON_S, WORTH_S, FollowMode, Goal, Replan, Replanner, Swarm
 from fg_gcs.track.sightings import Sighting, Verdict
 
+LIVE_S = 0.5  # an estimate that no sighting has come for in so long says where a target should be, not where it is
 QUIET_S = 0.25  # without a sighting for so long the trajectory is planned anew all the same: what is unknown grows
 
 
@@ -37,7 +38,7 @@ class FollowingCore:
     Attributes:
         counts: sightings by what became of them.
         replanner: the inner loop, with the present trajectory.
-        caught_s: when the formation first was around the target [s], None until then.
+        caught_s: when the formation first was around the target [s], None until then, see :meth:`holds`.
     """
 
     def __init__(self, swarm: Swarm, tracking: TrackingSettings, start: Pose, start_s: float) -> None:
@@ -49,6 +50,7 @@ class FollowingCore:
         self._tracking = tracking
         self._estimators = {name: Estimator(tracking.estimator) for name in tracking.weights}
         settings = tracking.estimator
+        self._taken_s = dict.fromkeys(tracking.weights, -math.inf)  # when a sighting of it was taken last
         self._group = Group(tracking.weights, settings.lost_after_s, tracking.most_radius_m, tracking.confidence)
         self._first_scale = start.scale
         self._inscribed_m = swarm.formation.inscribed_radius_m
@@ -63,6 +65,8 @@ class FollowingCore:
         estimator = self._estimators.get(sighting.target)
         verdict = Verdict.UNKNOWN_TARGET if estimator is None else estimator.add(sighting, now_s)
         self.counts[verdict] += 1
+        if verdict is Verdict.TAKEN:
+            self._taken_s[sighting.target] = now_s
         return verdict
 
     def known(self, now_s: float) -> GroupEstimate | None:
@@ -89,9 +93,18 @@ class FollowingCore:
         goal = Goal(known.prediction, scale, known.last_age_s)
         for replan in self.replanner.replanning(goal, now_s):
             followed = replan is not None and replan.mode is FollowMode.FOLLOW
-            if self.caught_s is None and followed and self.error_m(known) < self._tracking.capture_m:
+            if self.caught_s is None and followed and self.holds(known):
                 self.caught_s = now_s
             yield replan
+
+    def holds(self, known: GroupEstimate) -> bool:
+        """Say whether the formation is around the targets, as far as sightings of them say that now.
+
+        A prediction says nothing of it: every target must have been seen, none may be lost, and of each a sighting must
+        have come within the last :data:`LIVE_S`.
+        """
+        live = not (known.lost or known.unseen) and known.time_s - min(self._taken_s.values()) <= LIVE_S
+        return live and self.error_m(known) < self._tracking.capture_m
 
     def error_m(self, known: GroupEstimate) -> float:
         """Return how far the formation's centre is from its place around the targets, as far as known [m]."""

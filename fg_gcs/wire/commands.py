@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 from pymavlink.dialects.v20 import all as dialect
@@ -28,6 +29,7 @@ _STILL_FLYING_S: Final = 1.0  # PX4 "temporarily" rejects disarming in the air: 
 _SPOOL_UP_S: Final = 5.0  # lift-off comes up to 3.3 s after the command; asked again sooner, it might begin anew
 _IN_FLIGHT_S: Final = 3.0  # a take-off is refused in the air as well, and telemetry may be late to say which it was
 _SAME_RATE: Final = (0.8, 1.25)  # of the interval asked for: ArduPilot cuts intervals to whole milliseconds
+_VERSION_S: Final = 5.0  # ten questions: of what is only good to know, on a link that loses a fifth both ways
 _STREAM_PATIENCE_S: Final = 6.0  # a dozen questions: then not all that were to set the stream can have been lost
 
 
@@ -159,6 +161,12 @@ def request_message(message_id: int) -> Request:
 def request_origin() -> Request:
     """Ask where the vehicle's local frame has its zero (`Vehicle.origin`); there is no answer while it has none."""
     return request_message(dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+
+
+def request_version() -> Request:
+    """Ask for the hardware's identity (`Vehicle.uid`); a vehicle need not have one, or know the message."""
+    asked = request_message(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+    return replace(asked, deadline_s=_VERSION_S, optional=True)
 
 
 def set_message_interval(message_id: int, rate_hz: float, *, optional: bool = True) -> Request:

@@ -152,6 +152,7 @@ class Vehicle:
         timing: Loss, delay and jitter of its link, and its clock; whoever owns the link counts the frames there.
         origin: Origin of its local frame, None before the first GPS_GLOBAL_ORIGIN.
         battery: State of charge.
+        uid: Of its hardware in hexadecimal digits, "" before the first AUTOPILOT_VERSION or where that tells none.
         params: Values of the parameters heard so far, by name.
         param_types: Their MAV_PARAM_TYPE.
         param_at_s: When they came [s].
@@ -180,6 +181,7 @@ class Vehicle:
         self.samples = 0
         self.origin: Origin | None = None
         self.battery = Battery(math.nan, math.nan)
+        self.uid = ""
         self.params: dict[str, float] = {}
         self.param_types: dict[str, int] = {}
         self.param_at_s: dict[str, float] = {}
@@ -437,6 +439,11 @@ class Vehicle:
     def _on_origin(self, message: Message, now_s: float) -> None:
         self.origin = Origin(message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
 
+    def _on_version(self, message: Message, now_s: float) -> None:
+        """The longer identity is newer; a vehicle that has none tells zeros."""
+        longer = bytes(message.uid2)
+        self.uid = longer.hex() if any(longer) else f"{message.uid:016x}" if message.uid else ""
+
     def _on_ack(self, message: Message, now_s: float) -> None:
         if message.target_system in (0, GCS_SYSTEM) and message.target_component in (0, GCS_COMPONENT):
             known = self.acks.get(message.command)
@@ -472,6 +479,7 @@ class Vehicle:
             dialect.MAVLINK_MSG_ID_ATTITUDE: _on_attitude,
             dialect.MAVLINK_MSG_ID_TIMESYNC: _on_timesync,
             dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _on_origin,
+            dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _on_version,
             dialect.MAVLINK_MSG_ID_COMMAND_ACK: _on_ack,
             dialect.MAVLINK_MSG_ID_STATUSTEXT: _on_text,
             dialect.MAVLINK_MSG_ID_PARAM_VALUE: _on_param,

@@ -204,7 +204,7 @@ def _autopilot_version(vehicle: Autopilot, body: BodyState) -> Fields:
         "os_custom_version": [0] * 8,
         "vendor_id": 0,
         "product_id": 0,
-        "uid": 0x5349544C,  # the same for all vehicles, as on one machine with the real ones
+        "uid": vehicle.system_id << 32 | 0x5349544C,  # real simulators tell the same all, but boards tell their own
     }
 
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+import json
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import all as dialect
 from scipy.spatial.distance import pdist
 
 from fg_gcs.flight.director import Director, FlightResult
+from fg_gcs.flight.snapshot import RunEvent
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.mission import Mission, load_mission
 from fg_gcs.record.read.run import RecordedRun, load_run
@@ -20,6 +23,7 @@ from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.run.flying import FlyOptions
 from fg_gcs.run.flying import fly as run_mission
 from fg_gcs.run.observing import Observer
+from sitl_mock import parse_fault, parse_impairment
 from sitl_mock.host.server import Simulator, SimulatorOptions
 
 AUTOPILOTS = ("px4", "ardupilot")
@@ -108,6 +112,11 @@ class Flight:
         """Everything that was said."""
         return (self.recorder.folder / "events.jsonl").read_text()
 
+    @property
+    def said(self) -> list[dict[str, Any]]:
+        """The same as it is kept, an object for each line."""
+        return [json.loads(line) for line in self.events.splitlines()]
+
 
 class OtherStation(asyncio.DatagramProtocol):
     """A second ground station on the vehicles' second link; open it with :meth:`open`."""
@@ -140,6 +149,7 @@ class OtherStation(asyncio.DatagramProtocol):
 
 
 Script = Callable[[Flight], Awaitable[None]]
+Table = Mapping[str, object]  # as `[[simulator.faults]]` and `[[simulator.impairments]]` have it
 
 
 def mission_of(folder: Path, text: str = SMALL) -> Mission:
@@ -155,27 +165,30 @@ def fly(
     mission: Mission | None = None,
     wind_m_s: float = 0.0,
     *,
+    faults: Sequence[Table] = (),
+    impairments: Sequence[Table] = (),
     ours: bool = True,
     loop: Callable[[], asyncio.AbstractEventLoop] = VirtualTimeLoop,
 ) -> Flight:
     """Fly a mission in virtual time while a script interferes; not ``ours``: where on Earth it is has to be learnt."""
     chosen = mission or mission_of(folder)
+    options = SimulatorOptions(
+        autopilot=autopilot,
+        pads_enu_m=tuple((x, y) for x, y in chosen.pads_enu_m().tolist()),
+        system_ids=chosen.swarm.ids(),
+        remotes=(("127.0.0.1", GROUND_PORT), ("127.0.0.1", OTHER_PORT)),
+        wind_m_s=wind_m_s,
+        faults=tuple(map(parse_fault, faults)),
+        impairments=tuple(map(parse_impairment, impairments)),
+    )
     with asyncio.Runner(loop_factory=loop) as runner:
-        return runner.run(_fly(chosen, folder, autopilot, script, wind_m_s, ours))
+        return runner.run(_fly(chosen, folder, options, script, ours))
 
 
 async def _fly(
-    mission: Mission, folder: Path, autopilot: str, script: Script | None, wind_m_s: float, ours: bool
+    mission: Mission, folder: Path, simulated: SimulatorOptions, script: Script | None, ours: bool
 ) -> Flight:
-    simulator = Simulator(
-        SimulatorOptions(
-            autopilot=autopilot,
-            pads_enu_m=tuple((x, y) for x, y in mission.pads_enu_m().tolist()),
-            system_ids=mission.swarm.ids(),
-            remotes=(("127.0.0.1", GROUND_PORT), ("127.0.0.1", OTHER_PORT)),
-            wind_m_s=wind_m_s,
-        )
-    )
+    simulator = Simulator(simulated)
     await simulator.start()
     beside = _Beside(simulator, script)
     options = FlyOptions(
@@ -206,6 +219,10 @@ class _Beside(Observer):
         self._tasks.append(asyncio.ensure_future(_watch_truth(self.flight)))
         if self._script is not None:
             self._tasks.append(asyncio.ensure_future(self._script(self.flight)))
+
+    def event(self, event: RunEvent) -> None:
+        if event.kind == "stage":
+            self._simulator.begin_stage(event.text)
 
     async def end(self) -> None:
         """Stop both; a script that failed fails the test."""

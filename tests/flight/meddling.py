@@ -46,6 +46,14 @@ class MeddlingLoop(VirtualTimeLoop):
         self._network = _MeddlingNetwork(self, judge)
 
 
+class StandingStill(VirtualTimeLoop):
+    """Virtual time in which the program, the simulator included, can stand still."""
+
+    def stand_still(self, seconds: float) -> None:
+        """Let so much time pass in which nothing runs [s]."""
+        self._now_s += seconds
+
+
 class _MeddlingNetwork(MemoryNetwork):
     """Delivers each datagram when it is due, whatever was sent before it."""
 

@@ -22,6 +22,7 @@ from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import PX4
 from fg_gcs.wire.framing import Sender
+from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
 PORT = 14550
@@ -82,6 +83,17 @@ def test_the_line_about_who_flies() -> None:
     heard = vehicles([10, 200, *range(1, 10)])
     wanted = addresses(1, 2)
     assert who_flies(heard, wanted, wanted) == "vehicles 1-2 fly; vehicles 3-10, 200 are not named by the mission"
+
+
+def test_one_that_is_silent_by_now_or_does_not_become_ready_is_passed_over() -> None:
+    heard = vehicles([1, 2, 3, 4, 5])
+    heard[1].phase = Phase.LOST
+    chosen = choose(heard, 2, None, addresses(1))
+    assert chosen == addresses(3, 4)
+    said = who_flies(heard, chosen, None, addresses(1))
+    assert said == (
+        "vehicles 3-4 fly; vehicle 2 is silent; vehicle 1 does not become ready to arm; vehicle 5 is not needed"
+    )
 
 
 def discovered(

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from fg_gcs.errors import LinkError, PlanError
-from fg_gcs.link.clock import ticks
 from tests.flight.harness import AUTOPILOTS, GROUND_PORT, SMALL, Flight, OtherStation, fly, mission_of
 
 
@@ -61,29 +60,6 @@ def test_a_simulator_that_dies_is_reported_and_nothing_hangs(stage: str, tmp_pat
     assert [vehicle.label for vehicle in flight.result.lost] == [1, 2, 3, 4] or stage == "prepare"
     last = flight.result.stages["prepare" if stage == "prepare" else stage][1]
     assert last - ended[0] < 130.0
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_one_vehicle_taken_over_is_left_alone_and_the_others_come_home(autopilot: str, tmp_path: Path) -> None:
-    """Another ground station puts vehicle 2 into a mode of its own; it wins."""
-    frames: list[int] = []
-
-    async def take(flight: Flight) -> None:
-        other = await OtherStation.open()
-        await flight.reaches("approach")
-        await asyncio.sleep(0.5)
-        assert flight.director.fleet is not None
-        other.command_mode(2, flight.director.fleet.vehicles[1].profile.modes["RTL"])
-        await flight.reaches("land")
-        rows = flight.recorded.setpoints
-        late = rows["time_s"] > flight.director.journal.stages["approach"][1]
-        frames.append(int((rows["system_id"][late] == 2).sum()))
-
-    flight = fly(tmp_path, autopilot, take)
-    assert flight.result is not None
-    assert "vehicle 2 is taken over" in flight.result.reason
-    assert frames[0] == 0
-    assert flight.down_and_disarmed
 
 
 def test_random_bytes_at_the_port_are_dropped_and_counted(tmp_path: Path) -> None:
@@ -140,25 +116,3 @@ def test_a_mission_that_the_real_pads_make_impossible_arms_nobody(tmp_path: Path
 
     with pytest.raises(PlanError, match="further apart"):
         fly(tmp_path, "px4", never_armed, tight)
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_parameter_that_somebody_changes_back_in_flight_is_set_again(autopilot: str, tmp_path: Path) -> None:
-    name, wanted = {"px4": ("COM_OBL_RC_ACT", 4.0), "ardupilot": ("FS_GCS_ENABLE", 5.0)}[autopilot]
-    mended: list[float] = []
-
-    async def change(flight: Flight) -> None:
-        await flight.reaches("approach")
-        parameters = flight.simulator.fleet.vehicles[1].autopilot.parameters
-        parameters.write(name, 0.0, 9 if autopilot == "ardupilot" else 6)
-        began_s = asyncio.get_running_loop().time()
-        async for _ in ticks(began_s, 0.05):
-            if parameters[name] == wanted:
-                break
-        mended.append(asyncio.get_running_loop().time() - began_s)
-
-    flight = fly(tmp_path, autopilot, change)
-    assert flight.result is not None
-    assert flight.result.completed, flight.result.reason
-    assert mended[0] < 5.0
-    assert f"{name} of vehicle 2 has changed to 0; it is set again" in flight.events

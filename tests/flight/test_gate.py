@@ -218,17 +218,12 @@ def no_number(wanted: SwarmSetpoint, passed_s: float) -> None:
     wanted.position_m[1, 1] = np.nan
 
 
-def jump(wanted: SwarmSetpoint, passed_s: float) -> None:
-    wanted.position_m[3] += (3.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize(
     ("wrong", "reason", "told"),
     [
         (into_another, "separation", "vehicles 1 and 2 are 1.4"),  # 1.49 m, and what the vehicle is off by
         (out_of_the_fence, "fence", "setpoints of vehicle 3 have not passed the last gate for 1 s"),
         (no_number, "not finite", "setpoints of vehicle 2 have not passed"),
-        (jump, "jump", "setpoints of vehicle 4 have not passed"),
     ],
 )
 def test_a_motion_that_goes_wrong_is_stopped_and_everybody_comes_home(

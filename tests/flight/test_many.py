@@ -21,6 +21,7 @@ from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.link.endpoint import parse_networks
 from fg_gcs.link.router import Router
 from fg_gcs.plan.limits import Limits
+from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, read_kept
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.commands import arm, set_mode
@@ -92,6 +93,43 @@ def armed(folder: Path, autopilot: str, count: int, judge: Judge) -> Times:
 
     with asyncio.Runner(loop_factory=lambda: MeddlingLoop(judge)) as runner:
         return runner.run(run())
+
+
+@pytest.mark.parametrize(
+    ("uid", "port", "own"),
+    [
+        ("", GROUND_PORT, True),
+        ("000000025349544c", GROUND_PORT, True),
+        ("00000002ffffffff", GROUND_PORT, False),
+        ("000000025349544c", 9999, True),  # it has moved
+        ("", 9999, False),
+    ],
+)
+def test_what_a_crash_left_is_put_back_onto_no_other_hardware(uid: str, port: int, own: bool, tmp_path: Path) -> None:
+    state, name = tmp_path / "state", "FS_GCS_ENABLE"
+
+    async def run() -> tuple[float, list[Kept], str]:
+        async with connected(tmp_path, "ardupilot", 2) as (fleet, journal, simulator):
+            parameters = simulator.fleet.vehicles[1].autopilot.parameters
+            parameters.write(name, 5.0, 9)
+            await prepare(fleet, journal)
+            with KeptParameters(state) as kept:
+                failsafes = Failsafes(fleet, journal, kept)
+                await failsafes.set()
+                during = [one for one in read_kept(state) if one.run != "logs/gone"]
+                await failsafes.put_back()
+            journal.recorder.flush()
+            return parameters[name], during, (tmp_path / "events.jsonl").read_text()
+
+    with KeptParameters(state) as crashed:
+        where = f"udpin:127.0.0.1:{port}"
+        crashed.keep(Kept("main", 2, uid, where, "ArduPilot", {name: 2.0}, {name: 5.0}, "logs/gone", "gone.lock"))
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        value, during, events = runner.run(run())
+    assert value == (2.0 if own else 5.0)
+    assert {one.system_id: one.uid for one in during} == {1: "000000015349544c", 2: "000000025349544c"}
+    assert [one.uid for one in read_kept(state)] == ([] if own else [uid])
+    assert ("of other hardware" in events) is (uid.endswith("ffff"))
 
 
 def test_vehicles_left_in_the_streaming_mode_become_ready_again(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ COMMON = {  # how many there are of each kind in a flight of four, about: some o
     ("PARAM_SET", True): 8,
     ("SET_POSITION_TARGET_LOCAL_NED", True): 5000,
     ("ATTITUDE", False): 1400,
+    ("AUTOPILOT_VERSION", False): 4,
     ("COMMAND_ACK", False): 76,
     ("EXTENDED_SYS_STATE", False): 700,
     ("GPS_GLOBAL_ORIGIN", False): 8,

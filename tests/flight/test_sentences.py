@@ -54,7 +54,7 @@ def test_what_does_not_happen_in_time_names_who_did_not_do_it() -> None:
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner, pytest.raises(NotInTime) as caught:
         runner.run(wait())
     assert str(caught.value) == "vehicles 2, 5 did not arrive at the formation within 10 s"
-    assert caught.value.waiting == (vehicles[1], vehicles[4])
+    assert caught.value.vehicles == (vehicles[1], vehicles[4])
     assert isinstance(caught.value, VehicleError)
 
 

@@ -12,9 +12,8 @@ import pytest
 from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.policy import Fault, FaultKind
 from fg_gcs.flight.supervisor import Duty, Hung, Supervisor
-from fg_gcs.link.clock import VirtualTimeLoop, ticks
+from fg_gcs.link.clock import VirtualTimeLoop
 from fg_gcs.record.write.recorder import Recorder
-from tests.flight.harness import AUTOPILOTS, Flight, fly
 
 FIRST, AGAIN = FaultKind.STREAMER, FaultKind.STREAMER_AGAIN
 Work = Callable[[], Coroutine[Any, Any, None]]
@@ -84,6 +83,21 @@ def test_what_ends_by_itself_is_a_death_too(tmp_path: Path) -> None:
     assert [fault.kind for fault in reported] == [FIRST]
 
 
+def test_what_is_cancelled_is_a_death_too_and_is_started_again(tmp_path: Path) -> None:
+    starts: list[float] = []
+
+    async def work() -> None:
+        starts.append(always())
+        await asyncio.sleep(0.1)
+        if len(starts) == 1:
+            raise asyncio.CancelledError
+        await asyncio.sleep(99.0)
+
+    _, reported = watched(tmp_path, work, 1.0, always)
+    assert len(starts) == 2
+    assert [fault.kind for fault in reported] == [FIRST]
+
+
 def test_what_raises_inside_goes_on_as_it_is(tmp_path: Path) -> None:
     async def run() -> None:
         loop = asyncio.get_running_loop()
@@ -94,46 +108,3 @@ def test_what_raises_inside_goes_on_as_it_is(tmp_path: Path) -> None:
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner, pytest.raises(KeyError, match="mine"):
         runner.run(run())
-
-
-async def break_next(flight: Flight, times: int) -> None:
-    """Let the streamer raise in its next rounds."""
-    streamer = flight.director.streamer
-    assert streamer is not None
-    left = [times]
-
-    def raises(now_s: float) -> None:
-        if left[0]:
-            left[0] -= 1
-            raise ZeroDivisionError("a round of setpoints")
-
-    streamer.after_round = raises
-    await ticks(0.0, 1.0).__anext__()
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_streamer_that_dies_once_is_started_again_and_the_flight_completes(autopilot: str, tmp_path: Path) -> None:
-    async def harm(flight: Flight) -> None:
-        await flight.reaches("approach")
-        await asyncio.sleep(1.0)
-        await break_next(flight, 1)
-
-    flight = fly(tmp_path, autopilot, harm)
-    assert flight.result is not None
-    assert flight.result.completed, flight.result.reason
-    assert flight.down_and_disarmed
-    assert "the streamer fails" in flight.events
-
-
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-def test_a_streamer_that_dies_again_lands_everybody(autopilot: str, tmp_path: Path) -> None:
-    async def harm(flight: Flight) -> None:
-        await flight.reaches("approach")
-        await asyncio.sleep(1.0)
-        await break_next(flight, 1000)
-
-    flight = fly(tmp_path, autopilot, harm)
-    assert flight.result is not None
-    assert not flight.result.completed
-    assert "landing at once: the streamer fails" in flight.events
-    assert flight.down_and_disarmed

@@ -153,15 +153,35 @@ def test_a_target_that_cannot_be_held_is_given_up_too(tmp_path: Path) -> None:
     assert flight.down_and_disarmed
 
 
-def test_a_source_that_falls_silent_for_good_is_given_up(tmp_path: Path) -> None:
-    rows = [f"{0.1 * k:.1f},lead,{15.0 - 0.1 * k:.2f},0,12" for k in range(60)]
-    (tmp_path / "seen.csv").write_text("\n".join(["time_s,target,east_m,north_m,up_m", *rows]))
-    text = moving(f'{LEAD}[targets.source]\nkind = "csv"\npath = "seen.csv"\n', "[track]\ngive_up_s = 5.0\n")
-    flight = fly(tmp_path, "px4", mission=mission_of(tmp_path, text))
-    assert flight.result is not None
-    assert flight.result.reason == "no sightings for 5 s"
-    assert flight.result.tracking is not None
-    assert flight.result.tracking.ended_s - flight.result.tracking.began_s == pytest.approx(5.9 + 5.0, abs=0.1)
+@pytest.mark.parametrize(
+    ("silent_s", "reason"),
+    [(1.5, "the target is not caught within 7 s"), (13.0, "no sightings for 7 s")],
+    ids=["before the capture", "just before the end of the hold"],
+)
+def test_a_capture_and_a_hold_count_only_while_sightings_come(silent_s: float, reason: str, tmp_path: Path) -> None:
+    """A formation that follows a prediction has not caught the target, from which it may be 6 m away by the truth."""
+    off_m: dict[str, float] = {}
+
+    async def look(flight: Flight) -> None:
+        began_s = 0.0
+        async for _ in ticks(asyncio.get_running_loop().time(), 0.02):
+            now_s, stage = asyncio.get_running_loop().time(), flight.director.journal.stage
+            if stage == "approach" and not began_s:
+                began_s = now_s
+            if stage in ("hold", "home") and stage not in off_m:
+                assert flight.director.result.plan is not None
+                centre = flight.simulator.positions_enu_m[flight.director.result.plan.rim_of].mean(axis=0)
+                off_m[stage] = float(np.linalg.norm(centre - WAY.at(np.array([now_s - began_s]))[0]))
+
+    deaf = CIRCLING.replace(CIRCLE, f"{CIRCLE}[targets.sensor]\nsilence = [[{silent_s:g}, 1e4]]\n")
+    flight = fly(tmp_path, "px4", look, mission_of(tmp_path, deaf + "[track]\ngive_up_s = 7.0\n"))
+    result = flight.result
+    assert result is not None
+    assert result.reason == reason
+    assert not result.completed
+    assert ("hold" in off_m) == (silent_s > 4.5)
+    assert off_m.get("hold", 0.0) < 0.8 + 0.5  # the hold's depth, and half a metre for everything else
+    assert off_m["home"] > 1.5
     assert flight.down_and_disarmed
 
 

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fg_gcs.core.coverage import flux_metric
 from fg_gcs.core.formation import Pose, facing, hemisphere
@@ -16,7 +18,7 @@ from fg_gcs.scenario.motions import Circle, Static, TrueMotion
 from fg_gcs.scenario.sensor import Sensor, SensorSettings
 from fg_gcs.track.estimate.estimator import Settings
 from fg_gcs.track.follow.replanner import RUN_ON_S, FollowMode, Swarm
-from fg_gcs.track.following_core import QUIET_S, FollowingCore, TrackingSettings
+from fg_gcs.track.following_core import LIVE_S, QUIET_S, FollowingCore, TrackingSettings
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
 FORMATION = hemisphere(4, 1, 6.0)
@@ -185,3 +187,35 @@ def test_one_of_several_that_is_gone_does_not_end_what_the_others_are_followed_b
     assert (
         core.trajectory.end_s > 24.9 + RUN_ON_S - 0.1
     )  # the trajectory goes on for as long as one is trusted that is seen
+
+
+@given(
+    rate_hz=st.sampled_from([1.0, 4.0, 10.0]),
+    delay_s=st.floats(0.0, 0.4),
+    gone_s=st.floats(8.0, 12.0),
+    others=st.booleans(),
+)
+@settings(max_examples=8, deadline=None)
+def test_what_is_only_predicted_is_neither_caught_nor_held(
+    rate_hz: float, delay_s: float, gone_s: float, others: bool
+) -> None:
+    tracking = TrackingSettings({"boat": 1.0, **({"other": 1.0} if others else {})}, Settings(), most_radius_m=6.0)
+    core, place, due = FollowingCore(SWARM, tracking, START, 0.0), np.array([12.0, 2.0, 16.0]), 0
+    came_s = np.inf
+    for k in range(300):
+        now_s = 0.05 * k
+        while due / rate_hz + delay_s <= now_s:
+            for name in tracking.weights:
+                if name == "boat" or due / rate_hz < gone_s:
+                    core.sighted(Sighting(name, due / rate_hz, place, isotropic(0.1), now_s), now_s)
+            due, came_s = due + 1, now_s
+        known = core.known(now_s)
+        if known is None:
+            continue
+        core.replan(now_s)
+        if core.holds(known):
+            assert now_s - came_s <= LIVE_S
+            assert core.error_m(known) < tracking.capture_m
+        assert not (others and now_s > gone_s + 1.0 / rate_hz + delay_s + LIVE_S and core.holds(known))
+    assert core.caught_s is not None
+    assert core.caught_s < gone_s

@@ -71,7 +71,7 @@ class Crash:
         options = FlyOptions(where, knows_origin=True, logs=self.folder, state=self.state, write_report=False)
         flight = asyncio.ensure_future(run_mission(mission, options, [_Beside(self.simulator, kill)]))
         await killed.wait()
-        assert len(read_kept(self.state)) == 4
+        assert len({kept.uid for kept in read_kept(self.state)} - {""}) == 4
         await asyncio.sleep(self.later_s)
         watch = asyncio.ensure_future(self._watch())
         result = await recover(RecoverOptions(wait_s=6.0, logs=self.folder, state=self.state))
@@ -212,3 +212,30 @@ def test_without_recover_the_next_flight_puts_every_parameter_back(autopilot: st
     crash = Crash(tmp_path, autopilot, "hold", 200.0)
     assert crash.run_and_fly_again() == [{}] * 4
     assert read_kept(crash.state) == []
+
+
+@pytest.mark.parametrize("uid", ["", "000000015349544c", "00000002ffffffff"])
+def test_what_is_kept_is_put_back_onto_no_other_hardware(uid: str, tmp_path: Path) -> None:
+    """A board that was exchanged has its id and its place, and values of its own."""
+    state, name = tmp_path / "state", "FS_GCS_ENABLE"
+
+    async def look() -> tuple[RecoverResult, float]:
+        simulator = Simulator(
+            SimulatorOptions(autopilot="ardupilot", pads_enu_m=((0.0, 0.0),), remotes=(("127.0.0.1", GROUND_PORT),))
+        )
+        parameters = simulator.fleet.vehicles[0].autopilot.parameters
+        parameters.write(name, 5.0, 9)
+        await simulator.start()
+        result = await recover(RecoverOptions(logs=tmp_path, state=state))
+        await simulator.close()
+        return result, parameters[name]
+
+    with KeptParameters(state) as crashed:
+        where = f"udpin:127.0.0.1:{GROUND_PORT}"
+        crashed.keep(Kept("main", 1, uid, where, "ArduPilot", {name: 2.0}, {name: 5.0}, "logs/gone", "gone.lock"))
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        result, value = runner.run(look())
+    own = not uid.endswith("ffff")
+    assert ([each.ours for each in result.vehicles], value) == ([own], 2.0 if own else 5.0)
+    assert len(read_kept(state)) == (0 if own else 1)
+    assert bool(result.missing) is not own

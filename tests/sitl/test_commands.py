@@ -191,6 +191,7 @@ def test_requests(autopilot: str, unknown: int) -> None:
     assert station.messages("GPS_GLOBAL_ORIGIN")
     assert station.command(REQUEST, 148) == [ACCEPTED]
     assert station.messages("AUTOPILOT_VERSION")[-1].capabilities == station.autopilot.profile.capabilities
+    assert station.messages("AUTOPILOT_VERSION")[-1].uid == 1 << 32 | 0x5349544C  # every vehicle's is its own
     assert station.command(REQUEST, 9999) == [unknown]
 
 

@@ -126,7 +126,7 @@ def test_unknown_incompatibility_flags_are_dropped() -> None:
     behind=st.integers(0, 2),
     datagrams=st.booleans(),
 )
-def test_a_frame_with_unknown_flags_is_dropped_whole(
+def test_flag_frame_a_frame_with_unknown_flags_is_dropped_whole(
     flags: int, identity: int, before: int, behind: int, datagrams: bool
 ) -> None:
     first, inner, last = heartbeats(before), heartbeats(1, system_id=99)[0], heartbeats(behind)
@@ -138,7 +138,7 @@ def test_a_frame_with_unknown_flags_is_dropped_whole(
     assert codec.bad_bytes == len(outer)
 
 
-def test_a_frame_with_unknown_flags_is_dropped_whole_from_the_pieces_of_a_stream() -> None:
+def test_flag_frame_a_frame_with_unknown_flags_is_dropped_whole_from_the_pieces_of_a_stream() -> None:
     inner = heartbeats(1)[0]
     stream = bytes([0xFD, len(inner), 0x02, 0, 0, 9, 1, 1, 2, 3]) + inner + b"\0\0" + inner
     for cut in range(1, len(stream)):

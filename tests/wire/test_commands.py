@@ -330,6 +330,15 @@ def test_a_requested_message_is_done_when_it_came() -> None:
     assert vehicle.origin is not None
 
 
+def test_a_vehicle_need_not_tell_which_hardware_it_is() -> None:
+    vehicle = px4()
+    dialogue, sent, ended_s = run(vehicle, commands.request_version(), silent)
+    assert (dialogue.state, sent[0].param1) == (State.DONE, 148.0)
+    assert len(sent) >= 10
+    assert ended_s < 6.0
+    assert vehicle.uid == ""
+
+
 class Store:
     """Parameters of one autopilot, as it keeps and tells them."""
 

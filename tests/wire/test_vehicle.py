@@ -22,6 +22,7 @@ HEARD = {
     "LOCAL_POSITION_NED",
     "ATTITUDE",
     "GPS_GLOBAL_ORIGIN",
+    "AUTOPILOT_VERSION",
     "HOME_POSITION",
     "COMMAND_ACK",
     "STATUSTEXT",
@@ -91,6 +92,18 @@ def test_a_flight_walks_through_the_phases() -> None:
     assert seen == [Phase.DISCOVERED, Phase.READY, Phase.ARMED, flying, flying, Phase.LANDING, Phase.LANDED]
     assert [change.after for change in probe.vehicle.changes] == [seen[k] for k in (1, 2, 3, 5, 6)]
     assert [change.at_s for change in probe.vehicle.changes] == sorted(c.at_s for c in probe.vehicle.changes)
+
+
+@pytest.mark.parametrize(
+    ("uid", "uid2", "told"),
+    [(0, b"", ""), (0x5349544C, b"", "000000005349544c"), (7, bytes(range(18)), bytes(range(18)).hex())],
+)
+def test_hardware_is_told_by_the_longer_identity_that_it_has(uid: int, uid2: bytes, told: str) -> None:
+    probe, nothing = Probe(), [0] * 8
+    longer = list(uid2.ljust(18, b"\0"))
+    version = dialect.MAVLink_autopilot_version_message(0, 0, 0, 0, 0, nothing, nothing, nothing, 0, 0, uid, longer)
+    assert probe.vehicle.uid == ""
+    assert probe.hear(version).uid == told
 
 
 def flying(profile: AutopilotProfile) -> Probe:

@@ -47,6 +47,10 @@ class Kept:
     run: str = ""
     lock: str = ""
 
+    def may_be(self, uid: str) -> bool:
+        """Say whether it may be of the hardware with an identity, which is "" of one that tells none."""
+        return not (self.uid and uid) or self.uid == uid
+
     @property
     def name(self) -> str:
         """Its file's name: one vehicle has one."""
