@@ -32,6 +32,7 @@ from fg_gcs.run.simulators import Simulator, simulator_of, wish_of
 TOLD: Final = frozenset({"fault", "abort", "warning", "error", "notice", "stage"})
 LOOKS_S: Final = 0.05  # between two looks at the truth
 AFTER_S: Final = 120.0  # when everything that hears must be down
+AFTER_LOOKS_S: Final = 1.0  # between two looks whether it is
 LONGEST_S: Final = 900.0  # of a flight with its end: whatever takes longer hangs
 IN_THE_AIR_M: Final = 0.3  # above the ground
 NOISE_M: Final = 0.01  # by which a distance may be below its minimum: what particles are off by
@@ -197,8 +198,7 @@ class _Judge(Observer):
         for system_id, at_s in self._failsafe.items():
             found.broken.append(f"vehicle {system_id} in the air with its own failsafe at {at_s:.1f} s")
         up, armed = simulator.positions_enu_m[:, 2] > IN_THE_AIR_M, simulator.armed
-        dead = [vehicle.autopilot.dead for vehicle in simulator.fleet.vehicles]
-        for row in np.flatnonzero((up | armed) & ~np.array(dead)).tolist():
+        for row in np.flatnonzero((up | armed) & ~_dead(simulator)).tolist():
             where = "in the air" if up[row] else "armed"
             found.broken.append(f"vehicle {self._ids[row]} {where} {AFTER_S:g} s after the end")
         result = found.result
@@ -237,7 +237,7 @@ async def _judge(trial: Trial, fault_separation_m: float | None, folder: Path) -
                 flight.cancel()
                 await asyncio.sleep(1.0)
         judge_.found.ended_s = loop.time()
-        await asyncio.sleep(AFTER_S)
+        await _all_down(simulator)
         judge_.conclude()
     finally:
         for task in beside:
@@ -246,6 +246,19 @@ async def _judge(trial: Trial, fault_separation_m: float | None, folder: Path) -
         with suppress(asyncio.CancelledError):
             await simulator.close()
     return judge_.found
+
+
+async def _all_down(simulator: Simulator) -> None:
+    """Wait until all that still works is on the ground and disarmed, at most `AFTER_S`: nothing arms by itself."""
+    end_s = asyncio.get_running_loop().time() + AFTER_S
+    async for _ in ticks(asyncio.get_running_loop().time(), AFTER_LOOKS_S):
+        up, works = simulator.positions_enu_m[:, 2] > IN_THE_AIR_M, ~_dead(simulator)
+        if not (up | (simulator.armed & works)).any() or asyncio.get_running_loop().time() >= end_s:
+            return
+
+
+def _dead(simulator: Simulator) -> NDArray[np.bool_]:
+    return np.array([vehicle.autopilot.dead for vehicle in simulator.fleet.vehicles])
 
 
 async def _stop(judge_: _Judge, stops: Sequence[tuple[str, float]]) -> None:
