@@ -451,14 +451,14 @@ class Director:
         return plan
 
     async def _let_return(self, fleet: Fleet, plan: FlightPlan, failsafes: Failsafes) -> None:
-        """Choose how the swarm comes down by itself when this program is gone; say what comes of it.
+        """Set what vehicles do that hear nothing any more as the plan has it; say what comes of it for all of them.
 
         Raises:
             VehicleError: a vehicle keeps its own way.
         """
         alone = plan.alone
-        if alone.heights_m is not None:
-            await failsafes.set(alone)
+        assert plan.task.lost_link is not None, "every flight has a rule"
+        await failsafes.set(alone, plan.task.lost_link.runs_on_s)
         assert self._custody is not None, "made with the flight"
         self._custody.returns_m = failsafes.returns_m
         vanished = alone.landing if failsafes.returns_m is None else alone.vanished

@@ -50,8 +50,9 @@ class Failsafes:
         self._told: set[tuple[VehicleAddress, str, float]] = set()
         self.returns_m: Array | None = None
         self._waits_s = 0.0
+        self._runs_on_s: float | None = None
 
-    async def set(self, alone: ByThemselves | None = None) -> None:
+    async def set(self, alone: ByThemselves | None = None, runs_on_s: float | None = None) -> None:
         """Change those failsafes that are unsafe for a swarm, as `prepare` has read them; say what was found and set.
 
         It may be called again with another choice: what was found first is the user's own. A value that an earlier run
@@ -59,10 +60,12 @@ class Failsafes:
 
         Args:
             alone: how the swarm comes down by itself; None: every vehicle lands where it is.
+            runs_on_s: how long vehicles that run on without setpoints may do so; None: as long as any flight lets them.
 
         Raises:
             VehicleError: a vehicle keeps an unsafe value; names vehicle and parameter.
         """
+        self._runs_on_s = runs_on_s
         if alone is not None and alone.heights_m is not None:
             await self._choose_returns(alone.heights_m, alone.waits_s)
         left = await self._left()
@@ -109,6 +112,9 @@ class Failsafes:
         """Return what parameters of a vehicle are to be for this flight, by the user's own values."""
         unsafe = (one for one in vehicle.profile.failsafes if not one.is_safe(own.get(one.name, math.nan)))
         wanted = {one.name: one.wanted for one in unsafe if one.wanted is not None}
+        timeout = vehicle.profile.stream_timeout[0]
+        if self._runs_on_s is not None and vehicle.profile.lost_link.runs_on:
+            wanted[timeout] = min(wanted.get(timeout, own.get(timeout, math.inf)), self._runs_on_s)
         if self.returns_m is not None:
             for one in vehicle.profile.returns:
                 name = one.name_in(vehicle.params)

@@ -22,7 +22,7 @@ def expected_rule(mission: Mission, profile: AutopilotProfile) -> LostLinkRule:
         mission: what is flown.
         profile: the vehicles' autopilot.
     """
-    return _rule(mission, [profile.lost_link], mission.faults.silent_s, 0.0)
+    return _rule(mission, [profile], [profile.lost_link], mission.faults.silent_s, 0.0)
 
 
 def rule_of(mission: Mission, fleet: Fleet) -> LostLinkRule:
@@ -36,14 +36,22 @@ def rule_of(mission: Mission, fleet: Fleet) -> LostLinkRule:
     noticed_s = max(unanswered_s(vehicle, silent_s, len(fleet.vehicles)) for vehicle in fleet.vehicles)
     delay_s = max(map(delay_of, fleet.vehicles))
     behaviours = (v.profile.lost_link._replace(timeout_s=v.stream_timeout_s) for v in fleet.vehicles)
-    return _rule(mission, sorted(set(behaviours)), noticed_s, delay_s)
+    profiles = [vehicle.profile for vehicle in fleet.vehicles]
+    return _rule(mission, profiles, sorted(set(behaviours)), noticed_s, delay_s)
 
 
-def _rule(mission: Mission, behaviours: Iterable[LostLink], noticed_s: float, delay_s: float) -> LostLinkRule:
+def _rule(
+    mission: Mission,
+    profiles: Iterable[AutopilotProfile],
+    behaviours: Iterable[LostLink],
+    noticed_s: float,
+    delay_s: float,
+) -> LostLinkRule:
     """Return the rule for what is noticed so late [s] on links with such a delay of one way [s]."""
     known = tuple(behaviours)
     waits_s = max(OUTAGE_S, *(behaviour.timeout_s + SPARE_S for behaviour in known))
     late_s = noticed_s - mission.faults.silent_s
     reaction = Reaction(noticed_s + WATCH_S + STEP_S, waits_s + late_s + delay_s, LEFT_S)
     limits = mission.limits
-    return LostLinkRule(limits.fault_least_m, limits.fault_remedy, known, reaction)
+    shorter_s = sorted({timeout_s for profile in profiles for timeout_s in profile.shorter_timeouts_s}, reverse=True)
+    return LostLinkRule(limits.fault_least_m, limits.fault_remedy, known, reaction, tuple(shorter_s))

@@ -5,9 +5,7 @@ formation somebody is. There each returns instead: all hover, climb together, ea
 straight lines, wait above their pads until all have arrived, and come down onto them. Heights go by the order of the
 vehicles' heights in the formation, from the lowest to the highest, so that nobody climbs through another one. What
 comes of it is computed from many moments of a flight.
-
-One that hovers where it heard us last is in the way of whoever flies right behind it, one that lands sinks out of it.
-So they return only where somebody is straight above another one around the target, where a swarm is longest.
+They return only where landing brings two too near to each other from some moment on: it is the simpler thing.
 """
 
 from __future__ import annotations
@@ -17,7 +15,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import pdist
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Fence
@@ -36,7 +33,6 @@ WAITED_S: Final = (5.0, 60.0)  # that vehicles wait above their pads, at least a
 ABOVE_M: Final = 2.0  # that the lowest return is above the highest point of the flight
 LEVELS: Final = (1.1, 1.5)  # times the separation between two returns: autopilots' heights are off by some decimetres
 ON_GROUND_M: Final = 0.3
-ABOVE_EACH_OTHER_M: Final = 0.3  # seen from above: who lands within that lands on the other
 LEAST_M: Final = 0.8  # two vehicles come no closer by themselves: half a metre, and what they drift by
 
 
@@ -88,9 +84,7 @@ def by_themselves(
     """
     moments = _moments(parts)
     landing = _vanished(moments, _landing(moments.stops), least_m)
-    approach = parts["approach"]
-    around = approach.sample(np.array([approach.duration_s])).position_m[0, :, :2]
-    if landing.bad == 0.0 or pdist(around).min() >= ABOVE_EACH_OTHER_M:
+    if landing.bad == 0.0:
         return ByThemselves(landing, landing)
     found = [ByThemselves(landing, landing)]
     for heights_m in _heights(parts["approach"], moments.stops, fence, separation_m):

@@ -40,7 +40,7 @@ def build(formulations: Collection[FormulationName] = USUAL) -> None:
         target=Target.ball((-9.0, 4.0, 3.0)),
         hold_depth_m=0.1,
         rules=Rules(Limits(5.0, 3.0), 1.0, fence),
-        lost_link=LostLinkRule(0.1, "slow", (LostLink(1.0, True, True, 3.0, (1.0,)),), Reaction(0.6, 2.0, 0.5)),
+        lost_link=LostLinkRule(0.1, "slow", (LostLink(1.0, True, False, True, 3.0, (1.0,)),), Reaction(0.6, 2.0, 0.5)),
     )
     pads = np.array([(0.0, 0.0, -9.0), (4.0, 0.0, -9.0), (0.0, 4.0, -9.0), (4.0, 4.0, -9.0)])
     for formulation in formulations:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -166,8 +166,9 @@ def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> 
     rule = task.lost_link
     if rule is not None and alone.heights_m is not None:  # one that hears nothing hovers first
         hovering = tuple(behaviour._replace(lands=False) for behaviour in rule.behaviours)
-        task = replace(task, lost_link=replace(rule, behaviours=hovering))
-    kept = {name: _verified(free[name], pieces[name], task) for name in STAGES}
+        rule = replace(rule, behaviours=hovering)
+    kept, rule = _verified(free, pieces, task, rule)
+    task = replace(task, lost_link=rule)
     rim = np.argsort(into.goal_of)[: len(task.formation.leaders_m)]
     return FlightPlan(
         **{name: kept[name][0] for name in STAGES},
@@ -182,21 +183,44 @@ def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> 
     )
 
 
-def _verified(free: CheckedPlan, pieces: Sequence[Trajectory], task: Task) -> tuple[CheckedPlan, FaultFigures | None]:
-    """Verify a part of a flight against lost links, and slow it down for them if need be.
+def _verified(
+    free: Mapping[str, CheckedPlan], pieces: Mapping[str, Sequence[Trajectory]], task: Task, rule: LostLinkRule | None
+) -> tuple[dict[str, tuple[CheckedPlan, FaultFigures | None]], LostLinkRule | None]:
+    """Verify a flight's parts against lost links, and slow them down for them if need be.
+
+    Of the time-outs that a rule leaves to choose that one is taken which keeps it and makes the flight shortest.
+
+    Returns:
+        The parts with their figures, and the rule with the time-outs that are to be set.
 
     Raises:
-        PlanError: it breaks a rule.
+        PlanError: a part breaks a rule.
     """
-    rule = task.lost_link
     if rule is None:
-        return free, None
-    kept: Kept = keeping_apart(pieces, task.rules, task.target_enu_m, rule, MOST_SLOWER)
-    if not rule.is_kept(kept.nearest) and rule.remedy != "slow":
-        raise PlanError(too_near(kept.nearest, rule))
-    fall = min(nearest(kept.plan, [DEAD], rule.reaction))
-    slower = kept.plan.duration_s / sum(piece.duration_s for piece in pieces)
-    return kept.plan, FaultFigures(kept.nearest, fall, slower)
+        return {name: (part, None) for name, part in free.items()}, None
+
+    def tried(choice: LostLinkRule) -> dict[str, Kept]:
+        return {
+            name: keeping_apart(each, task.rules, task.target_enu_m, choice, MOST_SLOWER)
+            for name, each in pieces.items()
+        }
+
+    def merit(one: tuple[dict[str, Kept], LostLinkRule]) -> tuple[bool, float]:
+        kept, choice = one
+        worst = min(each.nearest for each in kept.values())
+        good = choice.is_kept(worst)
+        return good, -sum(each.plan.duration_s for each in kept.values()) if good else worst.distance_m
+
+    kept, rule = max(((tried(choice), choice) for choice in rule.choices()), key=merit)
+    worst = min(each.nearest for each in kept.values())
+    if not rule.is_kept(worst) and rule.remedy != "slow":
+        raise PlanError(too_near(worst, rule))
+    parts: dict[str, tuple[CheckedPlan, FaultFigures | None]] = {}
+    for name, each in kept.items():
+        fall = min(nearest(each.plan, [DEAD], rule.reaction))
+        slower = each.plan.duration_s / sum(piece.duration_s for piece in pieces[name])
+        parts[name] = each.plan, FaultFigures(each.nearest, fall, slower)
+    return parts, rule
 
 
 def _figures(task: Task, iterates: int, approach: CheckedPlan, rim: Indices) -> ApproachFigures:

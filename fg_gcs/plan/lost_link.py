@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -52,7 +52,8 @@ class LostLink(NamedTuple):
         timeout_s: how long it goes on before it acts [s].
         runs_on: whether it moves its last setpoint on by its velocity and acceleration meanwhile; otherwise it goes to
             that place, past it by what the velocity that it still feeds forward takes it.
-        lands: whether it lands after the time-out, as soon as it has braked; otherwise it stays at the place.
+        stays: whether it stays at that place after the time-out; otherwise it brakes where it is then.
+        lands: whether it sinks after the time-out while it brakes, down to the ground.
         brakes_m_s2: by what it corrects its motion at most, and brakes [m/s^2].
         gains_per_s: of positions, the least and the greatest that are known; both are computed [1/s].
         falls: whether it falls instead, as one does whose autopilot is dead.
@@ -60,13 +61,14 @@ class LostLink(NamedTuple):
 
     timeout_s: float
     runs_on: bool
+    stays: bool
     lands: bool
     brakes_m_s2: float
     gains_per_s: tuple[float, ...]
     falls: bool = False
 
 
-DEAD: Final = LostLink(0.0, runs_on=False, lands=False, brakes_m_s2=0.0, gains_per_s=(0.0,), falls=True)
+DEAD: Final = LostLink(0.0, runs_on=False, stays=False, lands=False, brakes_m_s2=0.0, gains_per_s=(0.0,), falls=True)
 
 
 class Reaction(NamedTuple):
@@ -102,12 +104,31 @@ class LostLinkRule:
         remedy: what is done where they would come nearer.
         behaviours: of the autopilots in the swarm.
         reaction: of the others.
+        shorter_s: time-outs that vehicles which run on may be given instead, as far as they are shorter [s].
     """
 
     least_m: float
     remedy: Remedy
     behaviours: tuple[LostLink, ...]
     reaction: Reaction
+    shorter_s: tuple[float, ...] = ()
+
+    def choices(self) -> list[LostLinkRule]:
+        """Return this rule with each time-out that there is to choose, the longest first; none is left to choose."""
+        longest_s = self.runs_on_s or 0.0
+        return [self.within(most_s) for most_s in (longest_s, *(s for s in self.shorter_s if s < longest_s))]
+
+    def within(self, most_s: float) -> LostLinkRule:
+        """Return this rule for vehicles that run on no longer than that [s]."""
+        behaviours = (
+            each._replace(timeout_s=min(each.timeout_s, most_s)) if each.runs_on else each for each in self.behaviours
+        )
+        return replace(self, behaviours=tuple(sorted(set(behaviours))), shorter_s=())
+
+    @property
+    def runs_on_s(self) -> float | None:
+        """How long vehicles run on that do so, at most; None: nobody does [s]."""
+        return max((each.timeout_s for each in self.behaviours if each.runs_on), default=None)
 
     def is_kept(self, found: Nearest) -> bool:
         """Say whether vehicles that come so near are far enough from each other."""
@@ -152,7 +173,7 @@ def nearest(plan: CheckedPlan, behaviours: Sequence[LostLink], reaction: Reactio
                 stride,
                 piece_of,
                 (plan.limits.acceleration_m_s2, plan.limits.jerk_m_s3),
-                (behaviour.timeout_s, behaviour.runs_on, behaviour.lands, behaviour.falls),
+                (behaviour.timeout_s, behaviour.runs_on, behaviour.stays, behaviour.lands, behaviour.falls),
                 (behaviour.brakes_m_s2, gain_per_s),
                 (reaction.notice_s, reaction.waits_s, reaction.leaving_s),
                 best,
@@ -227,12 +248,12 @@ def _deaf(
     velocity: Array,
     acceleration: Array,
     step: float,
-    behaviour: tuple[float, bool, bool, bool],
+    behaviour: tuple[float, bool, bool, bool, bool],
     loop: tuple[float, float],
     way: Array,
 ) -> None:
     """Fill the way of a vehicle that has heard its last setpoint, shape (S, 3), see `LostLink`."""
-    timeout, runs_on, lands, falls = behaviour
+    timeout, runs_on, stays, lands, falls = behaviour
     brakes, gain = loop
     x, u = place.copy(), velocity.copy()
     target, wanted, asked = np.empty(3), np.empty(3), np.empty(3)
@@ -248,9 +269,9 @@ def _deaf(
         size = 0.0
         for k in range(3):
             way[j, k] = x[k]
-            if over and lands:
+            if over and not stays:
                 share = min(max((x[2] - LOW_M) / (HIGH_M - LOW_M), 0.0), 1.0)
-                wanted[k] = -(SLOW_SINK_M_S + share * (SINK_M_S - SLOW_SINK_M_S)) if k == 2 else 0.0
+                wanted[k] = -(SLOW_SINK_M_S + share * (SINK_M_S - SLOW_SINK_M_S)) if lands and k == 2 else 0.0
             else:
                 wanted[k] = pull * (target[k] - x[k])
                 if not over:
@@ -286,7 +307,7 @@ def _nearest(
     stride: int,
     piece_of: NDArray[np.intp],
     limits: tuple[float, float],
-    behaviour: tuple[float, bool, bool, bool],
+    behaviour: tuple[float, bool, bool, bool, bool],
     loop: tuple[float, float],
     reaction: tuple[float, float, float],
     best: Array,

@@ -138,7 +138,8 @@ class AutopilotProfile:
         land_mode: Mode that lands here.
         hovering_modes: Modes that stay where they are.
         stream_timeout: The parameter that says for how long a vehicle goes on without setpoints, and its default [s].
-        lost_link: What it does without setpoints, with the time-out that is set for a flight.
+        lost_link: What it does without setpoints, with the longest time-out that is set for a flight.
+        shorter_timeouts_s: Time-outs that may be set instead where that keeps vehicles apart better [s].
         take_off: How it leaves the ground.
         lands_by_command: NAV_LAND lands it; otherwise the mode does.
         encoding: How integer parameters travel.
@@ -157,6 +158,7 @@ class AutopilotProfile:
     hovering_modes: frozenset[int]
     stream_timeout: tuple[str, float]
     lost_link: LostLink
+    shorter_timeouts_s: tuple[float, ...]
     take_off: TakeOff
     lands_by_command: bool
     encoding: Encoding
@@ -251,7 +253,8 @@ PX4: Final = AutopilotProfile(
     land_mode=_PX4_MODES["LAND"],
     hovering_modes=frozenset({_PX4_MODES["LOITER"], _PX4_MODES["POSCTL"], _PX4_MODES["ALTCTL"]}),
     stream_timeout=("COM_OF_LOSS_T", 1.0),
-    lost_link=LostLink(1.0, runs_on=False, lands=True, brakes_m_s2=3.0, gains_per_s=(0.95,)),  # MPC_XY_P
+    lost_link=LostLink(1.0, runs_on=False, stays=False, lands=True, brakes_m_s2=3.0, gains_per_s=(0.95,)),  # MPC_XY_P
+    shorter_timeouts_s=(),  # from its last setpoint on it slows down by itself
     take_off=TakeOff.BY_SETPOINT,
     lands_by_command=True,
     encoding=Encoding.BYTEWISE,
@@ -302,7 +305,10 @@ ARDUPILOT: Final = AutopilotProfile(
     land_mode=_ARDUPILOT_MODES["LAND"],
     hovering_modes=frozenset(_ARDUPILOT_MODES[name] for name in ("ALT_HOLD", "LOITER", "POSHOLD", "BRAKE")),
     stream_timeout=("GUID_TIMEOUT", 3.0),
-    lost_link=LostLink(0.75, runs_on=True, lands=False, brakes_m_s2=2.5, gains_per_s=(0.95, 1.5)),
+    lost_link=LostLink(1.0, runs_on=True, stays=True, lands=False, brakes_m_s2=2.5, gains_per_s=(0.95, 1.5)),
+    shorter_timeouts_s=(
+        0.625,
+    ),  # as far as others run on who brake by 5 m/s^2; by its own 2.5 they need the longer one
     take_off=TakeOff.BY_COMMAND,
     lands_by_command=False,
     encoding=Encoding.CAST,
@@ -323,7 +329,7 @@ ARDUPILOT: Final = AutopilotProfile(
         ),
         FailsafeParameter(
             "GUID_TIMEOUT",
-            0.75,
+            1.0,
             "how long it flies on after setpoints stop, in seconds: about as far as the others until they rest",
             at_most=True,
         ),

@@ -55,6 +55,12 @@ centre_enu_m = [0.0, 0.0, 12.0]
 radius_m = 15.0
 speed_m_s = 2.0
 """
+UPRIGHT = (  # who is left alone there returns
+    SMALL.replace("leaders = 3\nfollowers = 1\nedge_m = 6.0", "leaders = 4\nfollowers = 0\nedge_m = 4.0")
+    .replace("[0.0, 0.0, 10.0]", "[0.0, 0.0, 12.0]")
+    .replace("[-6.0, 10.0, 12.0]", "[12.0, 0.0, 12.0]")
+    .replace("duration_s = 2.0", "duration_s = 30.0")
+)
 
 
 def moving(targets: str, more: str = "") -> str:

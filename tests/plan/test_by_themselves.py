@@ -13,8 +13,7 @@ from fg_gcs.mission import Mission, parse_mission
 from fg_gcs.plan.by_themselves import LEAST_M, ByThemselves, by_themselves
 from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
 from fg_gcs.run.trial import Trial, judge
-from tests.flight.harness import AUTOPILOTS
-from tests.run.test_recover import UPRIGHT
+from tests.flight.harness import AUTOPILOTS, UPRIGHT
 
 
 @cache

@@ -33,8 +33,8 @@ from fg_gcs.plan.trajectory import Trajectory, timed
 from fg_gcs.plan.verification import CheckedPlan, check
 from tests.plan.scenes import compiled, task
 
-PX4 = LostLink(1.0, runs_on=False, lands=True, brakes_m_s2=3.0, gains_per_s=(0.95,))
-ARDUPILOT = LostLink(0.75, runs_on=True, lands=False, brakes_m_s2=2.5, gains_per_s=(0.95, 1.5))
+PX4 = LostLink(1.0, runs_on=False, stays=False, lands=True, brakes_m_s2=3.0, gains_per_s=(0.95,))
+ARDUPILOT = LostLink(0.75, runs_on=True, stays=True, lands=False, brakes_m_s2=2.5, gains_per_s=(0.95, 1.5))
 BOTH = (PX4, ARDUPILOT)
 NAMES = ("px4", "ardupilot")
 REACTION = Reaction(0.6, 2.2, 0.6)
@@ -70,6 +70,34 @@ def test_who_stays_where_it_rests_is_as_far_as_planned_and_who_lands_sinks_onto_
     assert fall.distance_m < 0.3
     assert fall.pair == (0, 1)
     assert fall.after_s == pytest.approx(np.sqrt(2.0 * 6.0 / 9.81), abs=0.03)
+
+
+def test_who_hovers_rests_where_it_comes_to_and_not_at_the_place_that_it_was_told_last() -> None:
+    """PX4 is more than a metre past that place when its time-out is over; who flies behind it is not there yet."""
+    plan, hovering = checked(slower=4.0), PX4._replace(lands=False)
+    assert least_m(plan, hovering._replace(stays=True)) + 1.0 < least_m(plan, hovering)
+    assert least_m(plan, hovering) < least_m(plan, PX4)  # who lands sinks out of the way besides
+
+
+def test_the_time_out_is_chosen_that_makes_a_flight_shortest_and_a_shorter_one_of_the_users_stays() -> None:
+    wanted = LostLinkRule(0.5, "slow", (ARDUPILOT._replace(timeout_s=1.0),), REACTION, (0.625, 0.5))
+    each = {one.runs_on_s: compiled(replace(task(), lost_link=one)) for one in wanted.choices()}
+    assert list(each) == [1.0, 0.625, 0.5]
+    long_s = {
+        timeout_s: made.gather.duration_s + made.approach.duration_s + made.home.duration_s
+        for timeout_s, made in each.items()
+    }
+    chosen = compiled(replace(task(), lost_link=wanted)).task.lost_link
+    assert chosen is not None
+    assert chosen.shorter_s == ()
+    kept = [s for s, made in each.items() if chosen.is_kept(made.nearest_in_fault[1])]
+    assert chosen.runs_on_s == min(kept, key=long_s.__getitem__)
+    own = replace(wanted, behaviours=(ARDUPILOT._replace(timeout_s=0.55), PX4))
+    assert [one.runs_on_s for one in own.choices()] == [0.55, 0.5]
+    assert all(PX4 in one.behaviours for one in own.choices())
+    assert LostLinkRule(0.5, "slow", (PX4,), REACTION, (0.625,)).choices() == [
+        LostLinkRule(0.5, "slow", (PX4,), REACTION)
+    ]
 
 
 def test_nobody_is_told_of_vehicles_that_fly_far_from_each_other() -> None:

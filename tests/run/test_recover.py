@@ -16,33 +16,9 @@ from fg_gcs.run.flying import fly as run_mission
 from fg_gcs.run.recovering import RecoverOptions, RecoverResult, recover
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.host.server import Simulator, SimulatorOptions
-from tests.flight.harness import AUTOPILOTS, GROUND_PORT, OTHER_PORT, Flight, OtherStation, _Beside, mission_of
+from tests.flight.harness import AUTOPILOTS, GROUND_PORT, OTHER_PORT, UPRIGHT, Flight, OtherStation, _Beside, mission_of
 
 OWN = {"px4": ("COM_OBL_RC_ACT", 0.0), "ardupilot": ("FS_GCS_ENABLE", 0.0)}
-UPRIGHT = """
-[swarm]
-vehicles = 4
-[formation]
-shape = "hemisphere"
-leaders = 4
-followers = 0
-edge_m = 4.0
-centre_enu_m = [0.0, 0.0, 12.0]
-normal_enu = [1.0, 0.0, 0.0]
-[target]
-position_enu_m = [12.0, 0.0, 12.0]
-[hold]
-duration_s = 30.0
-[limits]
-speed_m_s = 8.0
-acceleration_m_s2 = 4.0
-separation_m = 1.5
-[fence]
-low_enu_m = [-30.0, -30.0, 2.0]
-high_enu_m = [30.0, 30.0, 30.0]
-[takeoff]
-height_m = 2.5
-"""
 
 
 def values_of(parameters: Parameters) -> dict[str, float]:

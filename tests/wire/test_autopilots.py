@@ -4,7 +4,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4, AutopilotProfile, TakeOff, profile_of
 
-TIME_OUTS = [(PX4, "COM_OF_LOSS_T", 1.0), (ARDUPILOT, "FS_GCS_TIMEOUT", 5.0), (ARDUPILOT, "GUID_TIMEOUT", 0.75)]
+TIME_OUTS = [(PX4, "COM_OF_LOSS_T", 1.0), (ARDUPILOT, "FS_GCS_TIMEOUT", 5.0), (ARDUPILOT, "GUID_TIMEOUT", 1.0)]
 BOTH = pytest.mark.parametrize("profile", [PX4, ARDUPILOT], ids=lambda profile: profile.name)
 
 
@@ -97,4 +97,7 @@ def test_time_outs_are_shortened_and_never_lengthened(profile: AutopilotProfile,
 @BOTH
 def test_what_is_planned_for_is_the_time_out_that_is_set(profile: AutopilotProfile) -> None:
     wanted = {each.name: each.wanted for each in profile.failsafes}
-    assert profile.lost_link.timeout_s == wanted[profile.stream_timeout[0]]
+    longest_s = profile.lost_link.timeout_s
+    assert longest_s == wanted[profile.stream_timeout[0]]
+    for shorter_s in profile.shorter_timeouts_s:
+        assert 0.0 < shorter_s == float(np.float32(shorter_s)) < longest_s
