@@ -265,7 +265,7 @@ def _deaf(
         for k in range(3):
             target[k] = place[k] + velocity[k] * run + 0.5 * acceleration[k] * run * run
             away += (target[k] - x[k]) ** 2
-        pull = _pull(math.sqrt(away), gain, BRAKING_SHARE * brakes)
+        pull = _pull(away, gain, BRAKING_SHARE * brakes)
         size = 0.0
         for k in range(3):
             way[j, k] = x[k]
@@ -278,7 +278,7 @@ def _deaf(
                     wanted[k] += velocity[k] + acceleration[k] * run
             asked[k] = VELOCITY_GAIN_PER_S * (wanted[k] - u[k])
             size += asked[k] * asked[k]
-        scale = min(1.0, brakes / max(np.sqrt(size), 1e-9))
+        scale = 1.0 if size <= brakes * brakes else brakes / math.sqrt(size)
         for k in range(3):
             a = scale * asked[k] + (0.0 if over else acceleration[k])
             if falls:
@@ -288,13 +288,14 @@ def _deaf(
 
 
 @kernel
-def _pull(away: float, gain: float, brakes: float) -> float:
-    """Speed per distance towards a place: proportional when near, at constant deceleration when far.
+def _pull(square: float, gain: float, brakes: float) -> float:
+    """Speed per distance, whose square this is, towards a place: proportional when near, else at constant deceleration.
 
     ArduPilot's ``sqrt_controller``; PX4 is proportional also when it is far.
     """
-    if gain == 0.0 or away < brakes / (gain * gain):
+    if gain == 0.0 or square < (brakes / (gain * gain)) ** 2:
         return gain
+    away = math.sqrt(square)
     return math.sqrt(2.0 * brakes * (away - 0.5 * brakes / (gain * gain))) / away
 
 
