@@ -24,7 +24,7 @@ test: $(VENV)/.dev
 	@echo "== format";  $(BIN)/ruff format --check .
 	@echo "== lint";    $(BIN)/ruff check .
 	@echo "== types";   $(BIN)/mypy
-	@echo "== tests";   $(BIN)/pytest -n auto --dist worksteal
+	@echo "== tests";   $(BIN)/pytest -n $$(( $$(nproc) + 1 )) --dist worksteal
 
 # A thousand flights with random faults, judged by the simulator's truth: some twenty minutes on two cores
 trial: $(VENV)/.runtime
