@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from pymavlink.dialects.v20 import all as dialect
-from scipy.spatial.distance import pdist
 
 from fg_gcs.flight.director import Director, FlightResult
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
@@ -156,23 +155,28 @@ def fly(
     wind_m_s: float = 0.0,
     *,
     ours: bool = True,
+    shared: bool = False,
     loop: Callable[[], asyncio.AbstractEventLoop] = VirtualTimeLoop,
 ) -> Flight:
-    """Fly a mission in virtual time while a script interferes; not ``ours``: where on Earth it is has to be learnt."""
+    """Fly a mission in virtual time while a script interferes.
+
+    Not ``ours``: where on Earth it is has to be learnt. ``shared``: the vehicles have a link to another station too.
+    """
     chosen = mission or mission_of(folder)
     with asyncio.Runner(loop_factory=loop) as runner:
-        return runner.run(_fly(chosen, folder, autopilot, script, wind_m_s, ours))
+        return runner.run(_fly(chosen, folder, autopilot, script, wind_m_s, ours, shared))
 
 
 async def _fly(
-    mission: Mission, folder: Path, autopilot: str, script: Script | None, wind_m_s: float, ours: bool
+    mission: Mission, folder: Path, autopilot: str, script: Script | None, wind_m_s: float, ours: bool, shared: bool
 ) -> Flight:
+    ports = (GROUND_PORT, OTHER_PORT) if shared else (GROUND_PORT,)
     simulator = Simulator(
         SimulatorOptions(
             autopilot=autopilot,
             pads_enu_m=tuple((x, y) for x, y in mission.pads_enu_m().tolist()),
             system_ids=mission.swarm.ids(),
-            remotes=(("127.0.0.1", GROUND_PORT), ("127.0.0.1", OTHER_PORT)),
+            remotes=tuple(("127.0.0.1", port) for port in ports),
             wind_m_s=wind_m_s,
         )
     )
@@ -218,6 +222,8 @@ class _Beside(Observer):
 
 
 async def _watch_truth(flight: Flight) -> None:
+    first, second = np.triu_indices(len(flight.simulator.armed), k=1)
     async for _ in ticks(asyncio.get_running_loop().time(), 0.05):
-        closest = float(pdist(flight.simulator.positions_enu_m).min())
+        places = flight.simulator.positions_enu_m
+        closest = float(np.linalg.norm(places[first] - places[second], axis=1).min())
         flight.truth_separation_m = min(flight.truth_separation_m, closest)

@@ -79,7 +79,7 @@ def test_one_vehicle_taken_over_is_left_alone_and_the_others_come_home(autopilot
         late = rows["time_s"] > flight.director.journal.stages["approach"][1]
         frames.append(int((rows["system_id"][late] == 2).sum()))
 
-    flight = fly(tmp_path, autopilot, take)
+    flight = fly(tmp_path, autopilot, take, shared=True)
     assert flight.result is not None
     assert "vehicle 2 is taken over" in flight.result.reason
     assert frames[0] == 0
@@ -115,7 +115,7 @@ def test_a_second_ground_station_hears_telemetry_and_nothing_of_our_dialogues(tm
     async def listen(flight: Flight) -> None:
         heard.append(await OtherStation.open())
 
-    flight = fly(tmp_path, "px4", listen)
+    flight = fly(tmp_path, "px4", listen, shared=True)
     assert flight.result is not None
     assert flight.result.completed
     assert sorted(heard[0].addresses) == [1, 2, 3, 4]
