@@ -121,7 +121,7 @@ def test_a_signal_in_flight_brings_everybody_home(
 
 
 def test_the_simulator_killed_in_flight(tmp_path: Path) -> None:
-    with flying(tmp_path, "--speed", "4") as process:  # a minute of it is waiting for vehicles that are gone
+    with flying(tmp_path) as process:
         wait_for(process, r"\bapproach$")
         os.kill(children(process.pid)[0], signal.SIGKILL)
         flown = summary_of(process)
