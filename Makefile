@@ -7,7 +7,7 @@ PYTHON ?= $(firstword $(shell for name in python3 python3.13 python3.12 python3.
 	$$name -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$name; done))
 FLAGS  := --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo test trial format clean
+.PHONY: help demo test checks trial format clean
 
 help:
 	@echo "make demo    install what is needed, then fly nine simulated vehicles around a moving target"
@@ -19,18 +19,22 @@ help:
 demo: $(VENV)/.runtime
 	@$(BIN)/fg-gcs fly missions/circle.toml
 
-# The quick checks first; idle workers take tests from busy ones, because tests take from a millisecond to half a minute
-test: $(VENV)/.dev
+# Code is compiled on one core while the checks run on another. Tests take from a millisecond to half a minute: idle
+# workers take tests from busy ones, and there is one more of them than cores, as many tests wait for real time
+test: $(VENV)/.installed
+	@$(MAKE) --no-print-directory --jobs=2 checks $(VENV)/.compiled
+	@echo "== tests";   $(BIN)/pytest -n $$(( $$(nproc) + 1 )) --dist worksteal
+
+checks: $(VENV)/.tools
 	@echo "== format";  $(BIN)/ruff format --check .
 	@echo "== lint";    $(BIN)/ruff check .
 	@echo "== types";   $(BIN)/mypy
-	@echo "== tests";   $(BIN)/pytest -n auto --dist worksteal
 
 # A thousand flights with random faults, judged by the simulator's truth: some twenty minutes on two cores
 trial: $(VENV)/.runtime
 	@$(BIN)/fg-gcs trial missions/*.toml --count 1000 --jobs $$(nproc)
 
-format: $(VENV)/.dev
+format: $(VENV)/.tools
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
@@ -42,17 +46,23 @@ $(VENV)/bin/python:
 	@echo "Creating the virtual environment $(VENV) with $(PYTHON) ..."
 	@$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.runtime: pyproject.toml constraints.txt | $(VENV)/bin/python
+$(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
 	@echo "Installing fg-gcs and what it runs on into $(VENV) (once, about half a minute) ..."
 	@$(BIN)/python -m pip install $(FLAGS) -e .
+	@touch $@
+
+$(VENV)/.runtime: $(VENV)/.installed
 	@echo "Compiling the planner (once, about half a minute) ..."
 	@$(BIN)/python -c 'from pathlib import Path; from fg_gcs.mission import load_mission; \
 		from fg_gcs.run.flying import prepare; prepare(load_mission(Path("missions/circle.toml")))'
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/.runtime
-	@echo "Installing the tools of the tests into $(VENV) (once) ..."
-	@$(BIN)/python -m pip install $(FLAGS) -e '.[dev]'
+$(VENV)/.compiled: $(VENV)/.runtime
 	@echo "Compiling what only the tests use (once, about half a minute) ..."
 	@$(BIN)/python -c 'from fg_gcs.plan.compiled import build; build(("rigid", "free"))'
+	@touch $@
+
+$(VENV)/.tools: $(VENV)/.installed
+	@echo "Installing the tools of the tests into $(VENV) (once) ..."
+	@$(BIN)/python -m pip install $(FLAGS) -e '.[dev]'
 	@touch $@

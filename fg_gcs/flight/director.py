@@ -106,6 +106,7 @@ class Director:
         mission: what is flown.
         target_follower: of moving targets, once it is ready.
         streamer: the source of setpoints, once there is a plan.
+        around: returns the duty that a task really gets; trials let tasks die by it.
         in_good_moments: called with the loop's time [s] when milliseconds of work delay no setpoint; must not raise.
     """
 
@@ -116,6 +117,7 @@ class Director:
         self.journal = Journal(recorder, asyncio.get_running_loop().time)
         self.target_follower: TargetFollower | None = None
         self.streamer: Streamer | None = None
+        self.around: Callable[[Duty], Duty] = lambda duty: duty
         self.in_good_moments: Callable[[float], None] | None = None
         self.mission = mission
         self._router: Router | None = None
@@ -178,7 +180,7 @@ class Director:
             networks, on_frame=self._link_recorder.on_frame, tap=self._link_recorder.tap
         )
         self.journal.event("open", f"listening at {_places(networks)}")
-        supervisor = Supervisor(self._report, self.journal)
+        supervisor = Supervisor(self._report, self.journal, self.around)
         try:
             with short_collections():
                 async with supervisor:

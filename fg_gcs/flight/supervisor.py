@@ -60,15 +60,19 @@ class Supervisor:
     Args:
         report: called with the fault that a death is.
         journal: where to tell of it.
+        around: returns the duty that a task really gets.
 
     Attributes:
         deaths: what tasks died of, with their duties' names, in their order.
     """
 
-    def __init__(self, report: Callable[[Fault], None], journal: Journal) -> None:
+    def __init__(
+        self, report: Callable[[Fault], None], journal: Journal, around: Callable[[Duty], Duty] = lambda duty: duty
+    ) -> None:
         self.deaths: list[tuple[str, Exception]] = []
         self._report = report
         self._journal = journal
+        self._around = around
         self._group = asyncio.TaskGroup()
         self._owners: list[asyncio.Task[None]] = []
 
@@ -83,7 +87,7 @@ class Supervisor:
 
     def start(self, duty: Duty) -> None:
         """Let a task do its duty, and start it again when it dies."""
-        self._owners.append(self._group.create_task(self._own(duty), name=duty.name))
+        self._owners.append(self._group.create_task(self._own(self._around(duty)), name=duty.name))
 
     async def _own(self, duty: Duty) -> None:
         died = 0

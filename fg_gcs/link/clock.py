@@ -79,6 +79,14 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         if self._now_s > HORIZON_S:
             raise VirtualTimeOver
 
+    def settle(self) -> None:
+        """Deliver all datagrams that are under way now."""
+        self._network.settle()
+
+    def stand_still(self, seconds: float) -> None:
+        """Let time go on without anything that runs on this loop, as if its process were stopped."""
+        self._jump(seconds)
+
     async def create_datagram_endpoint(
         self,
         protocol_factory: Callable[[], _Protocol],

@@ -10,12 +10,13 @@ They return only where landing brings two too near to each other from some momen
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fg_gcs.compiling import long_kernel
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.separation import Fence
 from fg_gcs.plan.verification import CheckedPlan
@@ -168,13 +169,38 @@ def _returning(stops: Array, pads_enu_m: Array, heights_m: Array, waits_s: float
 
 def _vanished(moments: _Moments, steps: list[Array], least_m: float) -> Vanished:
     """Return how near vehicles come."""
-    first, second = np.triu_indices(moments.stops.shape[1], k=1)
-    nearest_m: Array = np.full((len(moments.stages), len(first)), np.inf)
-    for places in steps:
-        high: NDArray[np.bool_] = places[..., 2] > ON_GROUND_M
-        away_m = np.linalg.norm(places[:, first] - places[:, second], axis=-1)
-        np.minimum(nearest_m, away_m, out=nearest_m, where=high[:, first] | high[:, second])
-    moment, pair = np.unravel_index(int(nearest_m.argmin()), nearest_m.shape)
-    bad = float((nearest_m.min(axis=1) < least_m).mean())
-    rows = int(first[pair]), int(second[pair])
-    return Vanished(float(nearest_m[moment, pair]), rows, moments.stages[moment], float(moments.after_s[moment]), bad)
+    nearest = _nearest_pairs(np.ascontiguousarray(np.stack(steps, axis=2)))
+    moment = int(nearest[:, 0].argmin())
+    closest_m, first, second = nearest[moment].tolist()
+    bad = float((nearest[:, 0] < least_m).mean())
+    stage, after_s = moments.stages[moment], float(moments.after_s[moment])
+    return Vanished(closest_m, (int(first), int(second)), stage, after_s, bad)
+
+
+@long_kernel
+def _nearest_pairs(ways: Array) -> Array:
+    """Return the least distance of two ways, not both on the ground, and whose they are.
+
+    Args:
+        ways: of every vehicle from every moment on, shape (T, V, S, 3) [m; above the ground].
+
+    Returns:
+        Distance [m] and both rows for each moment, shape (T, 3).
+    """
+    vehicles, steps = ways.shape[1], ways.shape[2]
+    nearest = np.zeros((len(ways), 3))
+    for moment in range(len(ways)):
+        least = np.inf
+        for first in range(vehicles):
+            for second in range(first + 1, vehicles):
+                way, other = ways[moment, first], ways[moment, second]
+                for j in range(steps):
+                    if way[j, 2] > ON_GROUND_M or other[j, 2] > ON_GROUND_M:
+                        square = 0.0
+                        for k in range(3):
+                            square += (way[j, k] - other[j, k]) ** 2
+                        if square < least:
+                            least = square
+                            nearest[moment, 1], nearest[moment, 2] = first, second
+        nearest[moment, 0] = math.sqrt(least)
+    return nearest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -33,6 +33,13 @@ def is_built(formulations: Collection[FormulationName] = USUAL) -> bool:
 def build(formulations: Collection[FormulationName] = USUAL) -> None:
     """Plan a small flight by each formulation, so that this process's next plan is as quick as the one after it."""
     mending.build()  # of the last gate, which every plan passes
+    for formulation in formulations:
+        _build(formulation)
+
+
+@cache
+def _build(formulation: FormulationName) -> None:
+    """Build one of them; a second time in a process there is nothing to do."""
     fence = Fence((-99.0, -99.0, -99.0), (99.0, 99.0, 99.0))
     task = Task(
         formation=hemisphere(3, 1, 6.0),
@@ -40,16 +47,15 @@ def build(formulations: Collection[FormulationName] = USUAL) -> None:
         target=Target.ball((-9.0, 4.0, 3.0)),
         hold_depth_m=0.1,
         rules=Rules(Limits(5.0, 3.0), 1.0, fence),
+        formulation=formulation,
         lost_link=LostLinkRule(0.1, "slow", (LostLink(1.0, True, False, True, 3.0, (1.0,)),), Reaction(0.6, 2.0, 0.5)),
     )
     pads = np.array([(0.0, 0.0, -9.0), (4.0, 0.0, -9.0), (0.0, 4.0, -9.0), (4.0, 4.0, -9.0)])
-    for formulation in formulations:
-        made = compile_flight(replace(task, formulation=formulation), pads, lambda: 0.0).approach
-        made.yaw_rad(made.sample(np.zeros(1)).position_m[0])  # as the first setpoint needs it
+    made = compile_flight(task, pads, lambda: 0.0).approach
+    made.yaw_rad(made.sample(np.zeros(1)).position_m[0])  # as the first setpoint needs it
     timed(LinePath(pads, pads + 9.0), task.rules.limits, start_speed=1.0, end_speed=1.0)  # as plans made in flight are
-    for formulation in formulations:
-        with suppress(OSError):  # where nothing can be kept, every process compiles anew
-            _mark(formulation).touch()
+    with suppress(OSError):  # where nothing can be kept, every process compiles anew
+        _mark(formulation).touch()
 
 
 def _mark(formulation: FormulationName) -> Path:

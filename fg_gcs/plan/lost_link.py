@@ -35,7 +35,7 @@ FEWEST_MOMENTS: Final = 40
 SINK_M_S, SLOW_SINK_M_S = 1.5, 0.7  # speeds of a landing above HIGH_M and below LOW_M; ArduPilot's are no higher
 HIGH_M, LOW_M = 10.0, 5.0  # above the ground; in between PX4 changes from one to the other
 GRAVITY_M_S2: Final = 9.81
-MARGIN, TINY_M = 1.2, 1e-3  # on what a pair may near each other in a step
+TINY_M: Final = 1e-3  # on what a pair may near each other in a step
 SPARE: Final = 0.2  # of the least distance, as far as that is less
 SPARE_M: Final = 0.1  # that is planned on top of the least distance: vehicles are off their setpoints
 VELOCITY_GAIN_PER_S: Final = 3.0  # how quickly a multicopter takes up a velocity: 1.8 to 4 in both autopilots
@@ -265,7 +265,7 @@ def _deaf(
         for k in range(3):
             target[k] = place[k] + velocity[k] * run + 0.5 * acceleration[k] * run * run
             away += (target[k] - x[k]) ** 2
-        pull = _pull(math.sqrt(away), gain, BRAKING_SHARE * brakes)
+        pull = _pull(away, gain, BRAKING_SHARE * brakes)
         size = 0.0
         for k in range(3):
             way[j, k] = x[k]
@@ -278,7 +278,7 @@ def _deaf(
                     wanted[k] += velocity[k] + acceleration[k] * run
             asked[k] = VELOCITY_GAIN_PER_S * (wanted[k] - u[k])
             size += asked[k] * asked[k]
-        scale = min(1.0, brakes / max(np.sqrt(size), 1e-9))
+        scale = 1.0 if size <= brakes * brakes else brakes / math.sqrt(size)
         for k in range(3):
             a = scale * asked[k] + (0.0 if over else acceleration[k])
             if falls:
@@ -288,13 +288,14 @@ def _deaf(
 
 
 @kernel
-def _pull(away: float, gain: float, brakes: float) -> float:
-    """Speed per distance towards a place: proportional when near, at constant deceleration when far.
+def _pull(square: float, gain: float, brakes: float) -> float:
+    """Speed per distance, whose square this is, towards a place: proportional when near, else at constant deceleration.
 
     ArduPilot's ``sqrt_controller``; PX4 is proportional also when it is far.
     """
-    if gain == 0.0 or away < brakes / (gain * gain):
+    if gain == 0.0 or square < (brakes / (gain * gain)) ** 2:
         return gain
+    away = math.sqrt(square)
     return math.sqrt(2.0 * brakes * (away - 0.5 * brakes / (gain * gain))) / away
 
 
@@ -335,71 +336,94 @@ def _nearest(
         begun = i * step + notice
         lasts = stopping(velocity, acceleration, begun, step, limits[0], limits[1], 1.0, 0.0)
         steps = int((max(notice + lasts, waits) + leaving) / STEP_S) + 1
-        ways = np.empty((vehicles, steps, 3))
-        for v in range(vehicles):
-            _deaf(position[i, v], velocity[i, v], acceleration[i, v], STEP_S, behaviour, loop, ways[v])
-        where, rates = np.empty(steps), np.empty(steps)  # in samples of the plan, of those that hear
+        ways = np.empty((2, vehicles, steps, 3))  # of all as if they heard us, and as if they did not
         for j in range(steps):
-            time, rates[j], _ = changing(j * STEP_S - notice, begun, 1.0, 0.0, 0.0, lasts)
-            where[j] = time / step
-        closing = _closing(velocity, ways, where, rates)
+            time, _, _ = changing(j * STEP_S - notice, begun, 1.0, 0.0, 0.0, lasts)
+            _places(position, time / step, j, ways[0])
+        for v in range(vehicles):
+            _deaf(position[i, v], velocity[i, v], acceleration[i, v], STEP_S, behaviour, loop, ways[1, v])
+        boxes, nearing = _bounds(ways)
         pieces = best[piece_of[0, i] : piece_of[1, i] + 1]
         row = pieces[np.argmax(pieces[:, 0])].copy()  # nothing nearer than this is of any interest
         for first in range(vehicles):
             for second in range(vehicles):
-                if first != second:
-                    _pair(position, ways, where, first, second, closing, i * step, row)
+                for deaf in range(2 if second > first else 1):
+                    if first != second and _gap(boxes[1, first], boxes[deaf, second]) < row[0]:
+                        closing = nearing[1, first] + nearing[deaf, second]
+                        _pair(ways[1, first], ways[deaf, second], first, second, closing, i * step, row)
         for piece in pieces:
             if row[0] < piece[0]:
                 piece[:] = row
 
 
 @kernel
-def _closing(velocity: Array, ways: Array, where: Array, rates: Array) -> float:
-    """The most by which any pair nears each other in a step: how fast either is moved against the mean of the swarm."""
-    last, vehicles = len(velocity) - 1, velocity.shape[1]
-    hearing, deaf = 0.0, 0.0
-    for j in range(len(where) - 1):
-        i = min(int(where[j]), last)
-        mean = np.zeros(3)
-        for v in range(vehicles):
-            for k in range(3):
-                mean[k] += velocity[i, v, k] * rates[j] / vehicles
-        for v in range(vehicles):
-            one, other = 0.0, 0.0
-            for k in range(3):
-                one += (velocity[i, v, k] * rates[j] - mean[k]) ** 2
-                other += ((ways[v, j + 1, k] - ways[v, j, k]) / STEP_S - mean[k]) ** 2
-            hearing, deaf = max(hearing, one), max(deaf, other)
-    return (math.sqrt(deaf) + math.sqrt(max(hearing, deaf))) * MARGIN * STEP_S + TINY_M
+def _places(position: Array, where: float, j: int, ways: Array) -> None:
+    """Fill step j of the ways, shape (V, S, 3), with a plan's places at a time; its samples are 1 apart."""
+    last = len(position) - 1
+    i = min(int(where), last)
+    share = min(where - i, 1.0) if i < last else 0.0
+    for v in range(len(ways)):
+        for k in range(3):
+            ways[v, j, k] = position[i, v, k]
+            if share > 0.0:
+                ways[v, j, k] += share * (position[i + 1, v, k] - position[i, v, k])
 
 
 @kernel
-def _pair(
-    position: Array, ways: Array, where: Array, first: int, second: int, closing: float, heard: float, best: Array
-) -> None:
-    """Lower the least distance by that of one pair: the second vehicle hears us, or does not either.
+def _bounds(ways: Array) -> tuple[Array, Array]:
+    """Bound ways, shape (2, V, S, 3), beside the mean of those that hear us, with which all of them move along.
+
+    Returns:
+        Least and greatest coordinates of each way, shape (2, V, 2, 3) [m], and the most by which it nears any place
+        that moves with the mean in a step, shape (2, V) [m].
+    """
+    vehicles, steps = ways.shape[1], ways.shape[2]
+    mean = np.zeros((steps, 3))
+    for v in range(vehicles):
+        for j in range(steps):
+            for k in range(3):
+                mean[j, k] += ways[0, v, j, k] / vehicles
+    boxes, nearing = np.empty((2, vehicles, 2, 3)), np.empty((2, vehicles))
+    boxes[:, :, 0], boxes[:, :, 1] = np.inf, -np.inf
+    for deaf in range(2):
+        for v in range(vehicles):
+            box, fastest = boxes[deaf, v], 0.0
+            before = ways[deaf, v, 0] - mean[0]
+            for j in range(steps):
+                square = 0.0
+                for k in range(3):
+                    place = ways[deaf, v, j, k] - mean[j, k]
+                    box[0, k], box[1, k] = min(box[0, k], place), max(box[1, k], place)
+                    square += (place - before[k]) ** 2
+                    before[k] = place
+                fastest = max(fastest, square)
+            nearing[deaf, v] = math.sqrt(fastest) + TINY_M
+    return boxes, nearing
+
+
+@kernel
+def _gap(box: Array, other: Array) -> float:
+    """Distance of two boxes, shape (2, 3) each; no more than this, but for what rounding makes of it."""
+    square = 0.0
+    for k in range(3):
+        apart = max(box[0, k] - other[1, k], other[0, k] - box[1, k], 0.0)
+        square += apart * apart
+    return math.sqrt(square) - TINY_M
+
+
+@kernel
+def _pair(way: Array, other: Array, first: int, second: int, closing: float, heard: float, best: Array) -> None:
+    """Lower the least distance by that of one pair, of which the first vehicle does not hear us.
 
     Where a pair is far apart, as many steps are left out as it needs at least to come nearer than the least so far.
     """
-    last = len(position) - 1
-    for both in range(2):
-        if both and second < first:
-            continue
-        j = 0
-        while j < len(where):
-            i = min(int(where[j]), last)
-            share = min(where[j] - i, 1.0) if i < last else 0.0
-            square = 0.0
-            for k in range(3):
-                other = ways[second, j, k]
-                if not both:
-                    other = position[i, second, k]
-                    if share > 0.0:
-                        other += share * (position[i + 1, second, k] - other)
-                square += (ways[first, j, k] - other) ** 2
-            distance = np.sqrt(square)
-            if distance < best[0]:
-                best[0], best[1], best[2], best[3], best[4] = distance, heard, j * STEP_S, first, second
-                best[5], best[6], best[7] = ways[first, j, 0], ways[first, j, 1], ways[first, j, 2]
-            j += max(1, int((distance - best[0]) / closing))
+    j = 0
+    while j < len(way):
+        square = 0.0
+        for k in range(3):
+            square += (way[j, k] - other[j, k]) ** 2
+        distance = math.sqrt(square)
+        if distance < best[0]:
+            best[0], best[1], best[2], best[3], best[4] = distance, heard, j * STEP_S, first, second
+            best[5], best[6], best[7] = way[j, 0], way[j, 1], way[j, 2]
+        j += max(1, int((distance - best[0]) / closing))

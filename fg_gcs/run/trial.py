@@ -26,16 +26,19 @@ from fg_gcs.flight.snapshot import RunEvent
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.mission.model import Mission
 from fg_gcs.run.flying import VIRTUAL_PORT, FlyOptions, Outcome, RunResult, fly
+from fg_gcs.run.harms import Death, Deaths, Stall, Stranger, speak, stand_still
 from fg_gcs.run.observing import Observer
 from fg_gcs.run.simulators import Simulator, simulator_of, wish_of
 
 TOLD: Final = frozenset({"fault", "abort", "warning", "error", "notice", "stage"})
 LOOKS_S: Final = 0.05  # between two looks at the truth
 AFTER_S: Final = 120.0  # when everything that hears must be down
+AFTER_LOOKS_S: Final = 1.0  # between two looks whether it is
 LONGEST_S: Final = 900.0  # of a flight with its end: whatever takes longer hangs
 IN_THE_AIR_M: Final = 0.3  # above the ground
 NOISE_M: Final = 0.01  # by which a distance may be below its minimum: what particles are off by
 SLACK_M: Final = 0.05  # likewise of a pair of which one could not hear us
+STREAMED: Final = frozenset({"gather", "approach", "hold", "home"})  # stages with setpoints all the time
 FAILSAFES: Final = MappingProxyType(  # whose values are ours: landing, or hovering and returning
     {"px4": ("COM_OBL_RC_ACT", (4.0, 5.0)), "ardupilot": ("FS_GCS_ENABLE", (5.0, 1.0))}
 )
@@ -54,6 +57,9 @@ class Trial:
         impairments: of links, tables as `[[simulator.impairments]]`.
         stops: when people ask to stop: stage and seconds since it began.
         disk_full: when the disk is full, likewise.
+        deaths: tasks of the station that die or hang.
+        stalls: times in which the whole station stands still.
+        strangers: who else speaks to our port.
     """
 
     mission: Mission
@@ -63,6 +69,9 @@ class Trial:
     impairments: tuple[Mapping[str, Any], ...] = ()
     stops: tuple[tuple[str, float], ...] = ()
     disk_full: tuple[tuple[str, float], ...] = ()
+    deaths: tuple[Death, ...] = ()
+    stalls: tuple[Stall, ...] = ()
+    strangers: tuple[Stranger, ...] = ()
 
     @property
     def text(self) -> str:
@@ -71,18 +80,21 @@ class Trial:
         parts += [_words(table) for table in (*self.faults, *self.impairments)]
         for what, moments in (("stop", self.stops), ("disk full", self.disk_full)):
             parts += [f"{what} {after_s:g} s into {stage}" for stage, after_s in moments]
+        ours: tuple[Death | Stall | Stranger, ...] = (*self.deaths, *self.stalls, *self.strangers)
+        parts += [each.text for each in ours]
         return "; ".join(parts)
 
     @property
     def faultless(self) -> bool:
         """Whether nothing goes wrong."""
-        return not (self.faults or self.impairments or self.stops or self.disk_full)
+        ours = self.stops or self.disk_full or self.deaths or self.stalls or self.strangers
+        return not (self.faults or self.impairments or ours)
 
     @property
     def unhearing(self) -> frozenset[int]:
         """System ids of vehicles that at some time cannot hear us, or need not do as told."""
         everybody = tuple(range(1, self.mission.swarm.vehicles + 1))
-        ids: set[int] = set()
+        ids = set(everybody if self.stalls else (each.system_id for each in self.strangers if each.kind == "twin"))
         for table in self.faults:
             if table["kind"] in UNHEARING:
                 ids.update(table.get("vehicles", everybody))
@@ -142,11 +154,16 @@ class _Judge(Observer):
         self._worst: dict[tuple[int, int], tuple[float, float, str]] = {}
         self._failsafe: dict[int, float] = {}
         self.director: Director | None = None
+        self.deaths = Deaths()
+        self.struck: list[str] = []  # names of tasks
+        self.stood_still: list[str] = []  # stages in which that should be told
         self._ids = ids
 
     def started(self, director: Director) -> None:
         """Hear of the flight."""
         self.director = director
+        if self._trial.deaths:
+            director.around = self.deaths.around
 
     def event(self, event: RunEvent) -> None:
         """Keep what is told of faults."""
@@ -156,9 +173,10 @@ class _Judge(Observer):
     async def watch(self) -> None:
         """Look, for ever."""
         async for _ in ticks(asyncio.get_running_loop().time(), LOOKS_S):
-            self._look()
+            self.look()
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """Look once."""
         places, armed = self._simulator.positions_enu_m, self._simulator.armed
         high = places[:, 2] > IN_THE_AIR_M
         stage = "" if self.director is None else self.director.journal.stage
@@ -197,8 +215,7 @@ class _Judge(Observer):
         for system_id, at_s in self._failsafe.items():
             found.broken.append(f"vehicle {system_id} in the air with its own failsafe at {at_s:.1f} s")
         up, armed = simulator.positions_enu_m[:, 2] > IN_THE_AIR_M, simulator.armed
-        dead = [vehicle.autopilot.dead for vehicle in simulator.fleet.vehicles]
-        for row in np.flatnonzero((up | armed) & ~np.array(dead)).tolist():
+        for row in np.flatnonzero((up | armed) & ~_dead(simulator)).tolist():
             where = "in the air" if up[row] else "armed"
             found.broken.append(f"vehicle {self._ids[row]} {where} {AFTER_S:g} s after the end")
         result = found.result
@@ -206,9 +223,19 @@ class _Judge(Observer):
             found.broken.append(f"completed, though {simulator.fleet.incidents.found[0]}")
         if result is not None and result.outcome is Outcome.FAILED:
             found.broken.append(f"an error of this program: {result.error!r}")
+        found.broken += self._untold()
         gate = None if result is None or result.flight is None else result.flight.gate
         if self._trial.faultless and gate is not None and gate.total:
             found.broken.append(f"{gate.total} setpoints did not pass the last gate, though nothing was wrong")
+
+    def _untold(self) -> list[str]:
+        """Return what went wrong in the station itself and was not told."""
+        flight = None if self.found.result is None else self.found.result.flight
+        died = () if flight is None else flight.died
+        lines = [f"nobody noticed what became of the {name}" for name in self.struck if name not in died]
+        if self.stood_still and not any("this program stood still" in line for line in self.found.events):
+            lines += [f"nobody noticed that the station stood still in {stage}" for stage in self.stood_still]
+        return lines
 
 
 async def _judge(trial: Trial, fault_separation_m: float | None, folder: Path) -> Judgement:
@@ -224,6 +251,9 @@ async def _judge(trial: Trial, fault_separation_m: float | None, folder: Path) -
         asyncio.ensure_future(_stop(judge_, trial.stops)),
         asyncio.ensure_future(_fill_disk(judge_, trial.disk_full)),
         asyncio.ensure_future(_tell_stages(judge_, simulator)),
+        *(asyncio.ensure_future(_strike(judge_, death)) for death in trial.deaths),
+        *(asyncio.ensure_future(_stand_still(judge_, simulator, stall)) for stall in trial.stalls),
+        *(asyncio.ensure_future(_speak(judge_, stranger, trial.autopilot)) for stranger in trial.strangers),
     ]
     loop = asyncio.get_running_loop()
     try:
@@ -237,7 +267,7 @@ async def _judge(trial: Trial, fault_separation_m: float | None, folder: Path) -
                 flight.cancel()
                 await asyncio.sleep(1.0)
         judge_.found.ended_s = loop.time()
-        await asyncio.sleep(AFTER_S)
+        await _all_down(simulator)
         judge_.conclude()
     finally:
         for task in beside:
@@ -246,6 +276,19 @@ async def _judge(trial: Trial, fault_separation_m: float | None, folder: Path) -
         with suppress(asyncio.CancelledError):
             await simulator.close()
     return judge_.found
+
+
+async def _all_down(simulator: Simulator) -> None:
+    """Wait until all that still works is on the ground and disarmed, at most `AFTER_S`: nothing arms by itself."""
+    end_s = asyncio.get_running_loop().time() + AFTER_S
+    async for _ in ticks(asyncio.get_running_loop().time(), AFTER_LOOKS_S):
+        up, works = simulator.positions_enu_m[:, 2] > IN_THE_AIR_M, ~_dead(simulator)
+        if not (up | (simulator.armed & works)).any() or asyncio.get_running_loop().time() >= end_s:
+            return
+
+
+def _dead(simulator: Simulator) -> NDArray[np.bool_]:
+    return np.array([vehicle.autopilot.dead for vehicle in simulator.fleet.vehicles])
 
 
 async def _stop(judge_: _Judge, stops: Sequence[tuple[str, float]]) -> None:
@@ -263,6 +306,30 @@ async def _fill_disk(judge_: _Judge, moments: Sequence[tuple[str, float]]) -> No
         await asyncio.sleep(after_s)
         with director.journal.recorder.guard("tables"):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+async def _strike(judge_: _Judge, death: Death) -> None:
+    """Let a task of the station die, or hang."""
+    await _in_stage(judge_, death.stage)
+    await asyncio.sleep(death.after_s)
+    if judge_.deaths.strike(death):
+        judge_.struck.append(death.task)
+
+
+async def _stand_still(judge_: _Judge, simulator: Simulator, stall: Stall) -> None:
+    """Let the station stand still."""
+    director = await _in_stage(judge_, stall.stage)
+    await asyncio.sleep(stall.after_s)
+    if director.journal.stage in STREAMED:
+        judge_.stood_still.append(director.journal.stage)
+    stand_still(simulator, stall.lasts_s, LOOKS_S, judge_.look)
+
+
+async def _speak(judge_: _Judge, stranger: Stranger, autopilot: str) -> None:
+    """Let a stranger speak."""
+    await _in_stage(judge_, stranger.stage)
+    await asyncio.sleep(stranger.after_s)
+    await speak(stranger, autopilot, VIRTUAL_PORT)
 
 
 async def _in_stage(judge_: _Judge, stage: str) -> Director:

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from fg_gcs.mission.model import Mission
+from fg_gcs.run.harms import Death, Stall, Stranger, StrangerKind
 from fg_gcs.run.trial import Trial
 
 Table = dict[str, Any]
@@ -17,6 +18,8 @@ Draw = np.random.Generator
 STAGES: Final = ("take-off", "gather", "approach", "hold", "home", "land")
 LASTS_S: Final = (2.0, 4.0, 6.0, np.inf)
 MODES: Final = MappingProxyType({"px4": ("LAND", "LOITER", "RTL"), "ardupilot": ("LAND", "LOITER", "RTL")})
+TASKS: Final = ("streamer", "watch", "descents", "recorder", "heartbeat", "parameters")  # of every flight
+STANDS_S: Final = (1.0, 5.0)  # that a station stands still
 MOST_AFTER_S: Final = 4.0  # after a stage has begun something goes wrong
 AFTER_EACH_OTHER_S: Final = 1.0  # two things that go wrong
 
@@ -41,40 +44,38 @@ def trial_of(
     mission = missions[int(draw.integers(len(missions)))]
     autopilot = autopilots[int(draw.integers(len(autopilots)))]
     chosen = dynamics[int(draw.integers(len(dynamics)))]
-    faults: list[Table] = []
-    impairments: list[Table] = []
-    stops: list[tuple[str, float]] = []
-    disk_full: list[tuple[str, float]] = []
     stage = STAGES[int(draw.integers(len(STAGES)))]
     at_s = float(np.round(draw.uniform(0.0, MOST_AFTER_S), 2))
+    making = _Making(draw, mission, autopilot, stage, at_s)
     for _ in range(1 + int(draw.integers(2)) if faults_each is None else faults_each):
         kind = list(WRONGS)[int(draw.integers(len(WRONGS)))]
-        WRONGS[kind](_Making(draw, mission, autopilot, stage, at_s, faults, impairments, stops, disk_full))
-        at_s = float(np.round(at_s + draw.uniform(0.0, AFTER_EACH_OTHER_S), 2))
+        WRONGS[kind](making)
+        making.at_s = float(np.round(making.at_s + draw.uniform(0.0, AFTER_EACH_OTHER_S), 2))
     if faults_each == 0:  # nothing but the world itself differs
         simulator = mission.simulator.model_copy(update={"seed": seed})
         mission = mission.model_copy(update={"simulator": simulator})
-    return Trial(mission, autopilot, chosen, tuple(faults), tuple(impairments), tuple(stops), tuple(disk_full))
+    return Trial(mission, autopilot, chosen, **making.made())
 
 
 class _Making:
     """A trial that is being made."""
 
-    def __init__(
-        self,
-        draw: Draw,
-        mission: Mission,
-        autopilot: str,
-        stage: str,
-        at_s: float,
-        faults: list[Table],
-        impairments: list[Table],
-        stops: list[tuple[str, float]],
-        disk_full: list[tuple[str, float]],
-    ) -> None:
+    def __init__(self, draw: Draw, mission: Mission, autopilot: str, stage: str, at_s: float) -> None:
         self.draw, self.autopilot, self.stage, self.at_s = draw, autopilot, stage, at_s
-        self.faults, self.impairments, self.stops, self.disk_full = faults, impairments, stops, disk_full
+        self.faults: list[Table] = []
+        self.impairments: list[Table] = []
+        self.stops: list[tuple[str, float]] = []
+        self.disk_full: list[tuple[str, float]] = []
+        self.deaths: list[Death] = []
+        self.stalls: list[Stall] = []
+        self.strangers: list[Stranger] = []
+        self.tasks = TASKS if mission.targets is None else (*TASKS, "planner")
         self._ids = mission.swarm.ids()
+
+    def made(self) -> dict[str, Any]:
+        """What was made, by the names of a `Trial`."""
+        names = ("faults", "impairments", "stops", "disk_full", "deaths", "stalls", "strangers")
+        return {name: tuple(getattr(self, name)) for name in names}
 
     def window(self, most: int = 2) -> Table:
         """Some vehicles, from the time on."""
@@ -134,6 +135,22 @@ def _stop(it: _Making) -> None:
     it.stops.append((it.stage, it.at_s))
 
 
+def _death(it: _Making) -> None:
+    task = it.tasks[int(it.draw.integers(len(it.tasks)))]
+    it.deaths.append(Death(task, bool(it.draw.integers(2)), it.stage, it.at_s))
+
+
+def _stall(it: _Making) -> None:
+    lasts_s = float(np.round(it.draw.uniform(*STANDS_S), 1))
+    it.stalls.append(Stall(lasts_s, it.stage, it.at_s))
+
+
+def _stranger(it: _Making) -> None:
+    kinds: tuple[StrangerKind, ...] = ("station", "twin")
+    (system_id,) = it.window(1)["vehicles"]
+    it.strangers.append(Stranger(kinds[int(it.draw.integers(2))], system_id, it.stage, it.at_s))
+
+
 WRONGS: Final[Mapping[str, Callable[[_Making], None]]] = MappingProxyType(
     {
         "telemetry muted": _muted("from_vehicle"),
@@ -148,5 +165,8 @@ WRONGS: Final[Mapping[str, Callable[[_Making], None]]] = MappingProxyType(
         "a low battery": _battery,
         "a stop": _stop,
         "a full disk": _disk,
+        "a task that dies": _death,
+        "a station that stands still": _stall,
+        "a stranger": _stranger,
     }
 )

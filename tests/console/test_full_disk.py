@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.console.test_processes import GCS, PATIENCE_S, flying, wait_for
+from tests.console.test_processes import GCS, PATIENCE_S, SPEED, flying, wait_for
 from tests.flight.harness import SMALL
 from tests.record.disks import small_disk
 
@@ -22,7 +22,7 @@ def told_once(said: str) -> str:
 def test_a_full_disk_in_flight_costs_the_record_and_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(SMALL)
     with small_disk(tmp_path / "disk", 600) as disk:
-        command = [*GCS, "fly", str(tmp_path / "small.toml"), "--logs", str(disk), "--speed", "4", "--json"]
+        command = [*GCS, "fly", str(tmp_path / "small.toml"), "--logs", str(disk), "--speed", f"{SPEED:g}", "--json"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
         assert done.returncode == 5, done.stderr
         told = json.loads(done.stdout.splitlines()[-1])
@@ -45,7 +45,7 @@ def test_a_full_disk_in_flight_costs_the_record_and_nothing_else(tmp_path: Path)
 
 
 def test_a_folder_that_is_gone_in_flight_costs_the_record_and_nothing_else(tmp_path: Path) -> None:
-    with flying(tmp_path, "--speed", "4") as process:
+    with flying(tmp_path) as process:
         before = wait_for(process, r"\bgather$")
         while (tmp_path / "logs").exists():  # the summary may be written anew in between
             shutil.rmtree(tmp_path / "logs", ignore_errors=True)

@@ -79,7 +79,8 @@ def test_two_flights_at_once_over_real_sockets_do_not_meet(tmp_path: Path) -> No
     """One at a target at rest, one after a target that is a vehicle in a process of its own."""
     for name in ("resting", "moving"):
         (tmp_path / name).mkdir()
-    with flying(tmp_path / "resting") as resting, flying(tmp_path / "moving", text=moving(VEHICLE)) as chasing:
+    chase = moving(VEHICLE).replace("duration_s = 12.0", "duration_s = 4.0")
+    with flying(tmp_path / "resting") as resting, flying(tmp_path / "moving", text=chase) as chasing:
         wait_for(chasing, "caught after")
         simulators = children(chasing.pid)
         followed, reached = summary_of(chasing), summary_of(resting)

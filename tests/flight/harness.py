@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import all as dialect
-from scipy.spatial.distance import pdist
 
 from fg_gcs.flight.director import Director, FlightResult
 from fg_gcs.flight.snapshot import RunEvent
@@ -168,15 +167,19 @@ def fly(
     faults: Sequence[Table] = (),
     impairments: Sequence[Table] = (),
     ours: bool = True,
+    shared: bool = False,
     loop: Callable[[], asyncio.AbstractEventLoop] = VirtualTimeLoop,
 ) -> Flight:
-    """Fly a mission in virtual time while a script interferes; not ``ours``: where on Earth it is has to be learnt."""
+    """Fly a mission in virtual time while a script interferes.
+
+    Not ``ours``: where on Earth it is has to be learnt. ``shared``: the vehicles have a link to another station too.
+    """
     chosen = mission or mission_of(folder)
     options = SimulatorOptions(
         autopilot=autopilot,
         pads_enu_m=tuple((x, y) for x, y in chosen.pads_enu_m().tolist()),
         system_ids=chosen.swarm.ids(),
-        remotes=(("127.0.0.1", GROUND_PORT), ("127.0.0.1", OTHER_PORT)),
+        remotes=tuple(("127.0.0.1", port) for port in ((GROUND_PORT, OTHER_PORT) if shared else (GROUND_PORT,))),
         wind_m_s=wind_m_s,
         faults=tuple(map(parse_fault, faults)),
         impairments=tuple(map(parse_impairment, impairments)),
@@ -235,6 +238,8 @@ class _Beside(Observer):
 
 
 async def _watch_truth(flight: Flight) -> None:
+    first, second = np.triu_indices(len(flight.simulator.armed), k=1)
     async for _ in ticks(asyncio.get_running_loop().time(), 0.05):
-        closest = float(pdist(flight.simulator.positions_enu_m).min())
+        places = flight.simulator.positions_enu_m
+        closest = float(np.linalg.norm(places[first] - places[second], axis=1).min())
         flight.truth_separation_m = min(flight.truth_separation_m, closest)

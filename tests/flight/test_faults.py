@@ -91,7 +91,7 @@ def test_a_second_ground_station_hears_telemetry_and_nothing_of_our_dialogues(tm
     async def listen(flight: Flight) -> None:
         heard.append(await OtherStation.open())
 
-    flight = fly(tmp_path, "px4", listen)
+    flight = fly(tmp_path, "px4", listen, shared=True)
     assert flight.result is not None
     assert flight.result.completed
     assert sorted(heard[0].addresses) == [1, 2, 3, 4]

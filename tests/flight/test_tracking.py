@@ -306,7 +306,7 @@ def test_a_vehicle_taken_over_while_tracking_is_left_alone(autopilot: str, tmp_p
         assert flight.director.fleet is not None
         other.command_mode(2, flight.director.fleet.vehicles[1].profile.modes["RTL"])
 
-    flight = fly(tmp_path, autopilot, take, mission_of(tmp_path, CIRCLING))
+    flight = fly(tmp_path, autopilot, take, mission_of(tmp_path, CIRCLING), shared=True)
     assert flight.result is not None
     assert "vehicle 2 is taken over" in flight.result.reason
     assert flight.down_and_disarmed

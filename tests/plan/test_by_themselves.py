@@ -10,7 +10,7 @@ import pytest
 
 from fg_gcs.core.separation import Fence
 from fg_gcs.mission import Mission, parse_mission
-from fg_gcs.plan.by_themselves import LEAST_M, ByThemselves, by_themselves
+from fg_gcs.plan.by_themselves import LEAST_M, ON_GROUND_M, ByThemselves, _nearest_pairs, by_themselves
 from fg_gcs.plan.flight_plan import FlightPlan, compile_flight
 from fg_gcs.run.trial import Trial, judge
 from tests.flight.harness import AUTOPILOTS, UPRIGHT
@@ -65,6 +65,18 @@ def test_where_nobody_is_above_another_they_land() -> None:
     assert found.heights_m is None
     assert found.landing.bad == 0.0
     assert found.landing.closest_m > LEAST_M
+
+
+@pytest.mark.parametrize("vehicles", [2, 7])
+def test_the_nearest_pair_of_each_moment_is_that_of_all_pairs_off_the_ground(vehicles: int) -> None:
+    ways = np.random.default_rng(vehicles).uniform(-3.0, 3.0, (4, vehicles, 20, 3))
+    high = ways[..., 2] > ON_GROUND_M
+    away_m = np.linalg.norm(ways[:, :, None] - ways[:, None], axis=-1)
+    away_m[~(high[:, :, None] | high[:, None])] = np.inf
+    away_m[:, np.eye(vehicles, dtype=bool)] = np.inf
+    for found, distances_m in zip(_nearest_pairs(ways), away_m, strict=True):
+        assert found[0] == pytest.approx(distances_m.min(), abs=1e-9)
+        assert distances_m[int(found[1]), int(found[2])].min() == distances_m.min()
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)

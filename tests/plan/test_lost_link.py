@@ -17,17 +17,21 @@ from fg_gcs.plan.flight_plan import MOST_SLOWER
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.plan.lost_link import (
     DEAD,
+    MOMENTS_S,
     SINK_M_S,
     SLOWER,
     SPARE_M,
+    STEP_S,
     LostLink,
     LostLinkRule,
     Reaction,
     Remedy,
+    _deaf,
     keeping_apart,
     nearest,
     too_near,
 )
+from fg_gcs.plan.pace import changing, stopping
 from fg_gcs.plan.path.swarm_path import LinePath
 from fg_gcs.plan.trajectory import Trajectory, timed
 from fg_gcs.plan.verification import CheckedPlan, check
@@ -133,6 +137,47 @@ def test_what_is_computed_is_no_farther_than_any_pair_that_is_followed_by_itself
     deaf = place + velocity * time_s + 0.5 * acceleration * time_s**2
     other = stops.at(heard_s + time_s).position_m[pair[1]]
     assert least_m(plan, ARDUPILOT) <= np.linalg.norm(deaf - other) + 0.05  # a tenth of a second between two moments
+
+
+def followed(plan: CheckedPlan, behaviour: LostLink, gain_per_s: float) -> float:
+    """Follow every pair from every moment on, step by step, and return the least distance [m]."""
+    grid_s = np.arange(0.0, plan.duration_s + 2.0 * STEP_S, STEP_S)
+    swarm, limits, least = plan.sample(grid_s), plan.limits, np.inf
+    what = (behaviour.timeout_s, behaviour.runs_on, behaviour.stays, behaviour.lands, behaviour.falls)
+    stride = round(MOMENTS_S / STEP_S)
+    for i in [*range(0, len(grid_s) - 1, stride), len(grid_s) - 1]:
+        begun_s = i * STEP_S + REACTION.notice_s
+        motion, most = (swarm.velocity_m_s, swarm.acceleration_m_s2), (limits.acceleration_m_s2, limits.jerk_m_s3)
+        lasts_s = stopping(*motion, begun_s, STEP_S, *most, 1.0, 0.0)
+        over_s = max(REACTION.notice_s + lasts_s, REACTION.waits_s) + REACTION.leaving_s
+        steps_s = np.arange(int(over_s / STEP_S) + 1) * STEP_S
+        plan_s = [changing(s - REACTION.notice_s, begun_s, 1.0, 0.0, 0.0, lasts_s)[0] for s in steps_s.tolist()]
+        heard = np.stack(
+            [[np.interp(plan_s, grid_s, axis) for axis in way.T] for way in swarm.position_m.swapaxes(0, 1)]
+        )
+        deaf = np.empty((swarm.position_m.shape[1], len(steps_s), 3))
+        for row, way in enumerate(deaf):
+            state = (swarm.position_m[i, row], swarm.velocity_m_s[i, row], swarm.acceleration_m_s2[i, row])
+            _deaf(*state, STEP_S, what, (behaviour.brakes_m_s2, gain_per_s), way)
+        for others in (heard.swapaxes(1, 2), deaf):
+            away_m = np.linalg.norm(deaf[:, None] - others[None], axis=-1)  # (V, V, S)
+            away_m[np.eye(len(deaf), dtype=bool)] = np.inf
+            least = min(least, float(away_m.min()))
+    return least
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([PX4, ARDUPILOT, DEAD]), st.floats(4.0, 40.0))
+def test_the_least_distance_is_that_of_all_pairs_followed_step_by_step(
+    seed: int, behaviour: LostLink, wide_m: float
+) -> None:
+    draw = np.random.default_rng(seed)
+    starts, ends = draw.uniform(-wide_m, wide_m, (2, 6, 3)) + np.array((0.0, 0.0, 50.0))
+    open_sky = replace(RULES, separation_m=0.0)
+    plan = check([timed(LinePath(starts, ends), RULES.limits)], open_sky, GAZE)
+    for gain_per_s in behaviour.gains_per_s:
+        found = min(nearest(plan, [behaviour._replace(gains_per_s=(gain_per_s,))], REACTION))
+        assert found.distance_m == pytest.approx(followed(plan, behaviour, gain_per_s), abs=1e-9)
 
 
 @settings(max_examples=15, deadline=None)

@@ -13,13 +13,14 @@ from fg_gcs.console.cli import main
 from fg_gcs.errors import MissionError
 from fg_gcs.mission import load_mission
 from fg_gcs.run import FlyOptions, RunResult, fly_blocking
+from tests.flight.harness import SMALL as FOUR
 
 SMALL = (Path(__file__).parents[2] / "missions" / "sitl.toml").read_text()
 
 
-def flown(folder: Path, tables: str = "", **options: Any) -> RunResult:  # noqa: ANN401 - any option
+def flown(folder: Path, text: str = SMALL, **options: Any) -> RunResult:  # noqa: ANN401 - any option
     path = folder / "mission.toml"
-    path.write_text(SMALL + tables)
+    path.write_text(text)
     chosen = FlyOptions(logs=folder / "logs", write_report=False, **options)
     return fly_blocking(load_mission(path), chosen, speed=math.inf)
 
@@ -31,7 +32,7 @@ def events(result: RunResult, kind: str) -> list[dict[str, Any]]:
 
 def test_a_fault_of_a_mission_begins_with_its_stage(tmp_path: Path) -> None:
     tables = '\n[[simulator.faults]]\nkind = "dead"\nvehicles = [2]\nstage = "hold"\nat_s = 1.0\n'
-    result = flown(tmp_path, tables)
+    result = flown(tmp_path, SMALL + tables)
     assert not result.completed
     assert "vehicle 2 is lost" in result.reason
     hold_s = next(event["time_s"] for event in events(result, "stage") if event["text"] == "hold")
@@ -55,7 +56,7 @@ def test_a_flight_with_faults_is_the_same_flight_again(autopilot: str, tmp_path:
     for name in ("one", "two"):
         folder = tmp_path / name
         folder.mkdir()
-        result = flown(folder, autopilot=autopilot, dynamics="measured", faults=faults, impairments=impairments)
+        result = flown(folder, FOUR, autopilot=autopilot, dynamics="measured", faults=faults, impairments=impairments)
         logs.append((result.folder / "flight.tlog").read_bytes())
     assert logs[0] == logs[1]
     assert len(logs[0]) > 100_000

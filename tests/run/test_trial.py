@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fg_gcs.mission import Mission, load_mission, parse_mission
+from fg_gcs.run.harms import Death, Deaths, Stall, Stranger, StrangerKind
 from fg_gcs.run.trial import Judgement, Trial, judge
-from fg_gcs.run.trials import WRONGS, trial_of
+from fg_gcs.run.trials import TASKS, WRONGS, trial_of
 from tests.flight.harness import AUTOPILOTS, SMALL
 
 MISSIONS = Path(__file__).parents[2] / "missions"
@@ -29,9 +31,10 @@ def judged(
     faults: tuple[Table, ...] = (),
     impairments: tuple[Table, ...] = (),
     stops: tuple[tuple[str, float], ...] = (),
+    **ours: Any,  # noqa: ANN401 - whatever a trial does to the station
 ) -> Judgement:
     """Fly, and let nothing be broken."""
-    found = judge(Trial(mission, autopilot, faults=faults, impairments=impairments, stops=stops))
+    found = judge(Trial(mission, autopilot, faults=faults, impairments=impairments, stops=stops, **ours))
     assert found.broken == []
     return found
 
@@ -83,7 +86,10 @@ def test_a_seed_is_a_trial_and_a_trial_is_a_flight() -> None:
     assert len({trial.text for trial in trials}) > 250
     kinds = {table["kind"] for trial in trials for table in trial.faults}
     assert kinds == {"taken_over", "dead", "battery_low", "reboot", "origin"}
-    assert len(WRONGS) == 12
+    assert len(WRONGS) == 15
+    assert {death.task for trial in trials for death in trial.deaths} == {*TASKS}
+    assert {each.kind for trial in trials for each in trial.strangers} == {"station", "twin"}
+    assert all(1.0 <= stall.lasts_s <= 5.0 for trial in trials for stall in trial.stalls)
     first, second = (judge(trials[7]) for _ in range(2))
     assert (first.events, first.closest_m, first.ended_s) == (second.events, second.closest_m, second.ended_s)
 
@@ -102,3 +108,42 @@ def test_a_vehicle_that_falls_while_it_lands_has_not_completed_its_flight(autopi
     assert not completed(found)
     assert found.result is not None
     assert found.result.reason == "disarmed in the air while landing: vehicle 2"
+
+
+@pytest.mark.parametrize(("task", "hangs"), [("streamer", True), ("recorder", False)])
+def test_a_task_of_the_station_that_dies_or_hangs_is_told_and_started_again(task: str, hangs: bool) -> None:
+    found = judged("px4", FOUR, deaths=(Death(task, hangs, "approach", 1.0),))
+    assert completed(found), said(found)
+    assert f"the {task} {'hangs' if hangs else 'fails'}" in said(found)
+
+
+def test_the_judge_sees_a_death_that_nobody_notices(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Deaths, "strike", lambda *_: True)  # it says so, and harms nobody
+    found = judge(Trial(FOUR, deaths=(Death("watch", False, "hold", 0.5),)))
+    assert found.broken == ["nobody noticed what became of the watch"]
+
+
+@pytest.mark.parametrize(("autopilot", "lasts_s"), [("px4", 1.0), ("ardupilot", 4.0)])
+def test_a_station_that_stood_still_says_so_and_brings_everybody_down(autopilot: str, lasts_s: float) -> None:
+    found = judged(autopilot, FOUR, stalls=(Stall(lasts_s, "approach", 1.0),))
+    assert found.result is not None
+    assert found.result.reason == f"this program stood still for {lasts_s:.1f} s"
+    assert found.result.summary["vehicles_landed"] == 4
+
+
+def test_the_judge_sees_a_stall_that_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fg_gcs.run.trial.stand_still", lambda *_: None)
+    found = judge(Trial(FOUR, stalls=(Stall(2.0, "hold", 0.5),)))
+    assert found.broken == ["nobody noticed that the station stood still in hold"]
+
+
+@pytest.mark.parametrize("kind", ["station", "twin"])
+def test_strangers_in_flight_change_nothing(kind: StrangerKind) -> None:
+    found = judged("ardupilot", FOUR, strangers=(Stranger(kind, 2, "approach", 1.0),))
+    assert completed(found), said(found)
+
+
+def test_who_has_a_twin_before_arming_does_not_fly() -> None:
+    found = judged("px4", FOUR, strangers=(Stranger("twin", 2, "connect", 0.05),))
+    assert not completed(found)
+    assert found.closest_unhearing_m == float("inf")  # nobody left the ground
