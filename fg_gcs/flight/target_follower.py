@@ -24,7 +24,7 @@ from fg_gcs.record.write.layouts import TRUTH
 from fg_gcs.track.estimate.group import GroupEstimate
 from fg_gcs.track.follow.axes import Axes
 from fg_gcs.track.follow.replanner import FollowMode, Goal, Replan, Swarm
-from fg_gcs.track.following_core import QUIET_S, FollowingCore
+from fg_gcs.track.following_core import LIVE_S, QUIET_S, FollowingCore
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
 
 LOST_SPARE_S = 1.0  # on top of the time after which a target counts as lost, before the swarm goes home for it
@@ -283,11 +283,20 @@ class TargetFollower:
             return (
                 "the target is faster than the vehicles"
                 if faster
-                else f"the target is not caught within {track.give_up_s:g} s"
+                else f"the target is not caught within {track.give_up_s:g} s{self._old(now_s)}"
             )
         if now_s - self.holds_until_s > track.give_up_s:
-            return f"the target is not held again within {track.give_up_s:g} s of the end of the hold"
+            return f"the target is not held within {track.give_up_s:g} s of the end of the hold{self._old(now_s)}"
         return None
+
+    def _old(self, now_s: float) -> str:
+        """Say that sightings come, and are too old to catch or hold a target by; empty where that is not so."""
+        known = None if self._core is None else self._core.known(now_s)
+        if known is None or not known.lost or now_s - self._taken_s > LIVE_S:
+            return ""
+        return (
+            f": its sightings are {known.age_s:.1f} s old, and it counts as lost after {self._track.lost_after_s:g} s"
+        )
 
     def _patience_s(self, now_s: float) -> float:
         """Return how much longer nothing may be seen before the swarm goes home [s]."""
