@@ -165,7 +165,7 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
         FaultKind.DEAF: Row(
             "a vehicle stays off its course, or does not answer",
             "off course for its own time-out and 0.5 s, or unanswered for as long as one that is silent is waited for",
-            "PX4 1.5 s, ArduPilot 1.3 s; 2.2 s where it does not answer",
+            "PX4 1.5 s, ArduPilot 1.5 or 1.1 s; 2.2 s where it does not answer",
             Rung.HOME,
             Care.LAND,
             "the tracking error",
