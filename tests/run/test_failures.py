@@ -172,7 +172,7 @@ MADE: Mapping[FaultKind, Sequence[Made]] = {
     FaultKind.OFF_COURSE: (Made("px4", 0.5, stage="hold", fault=STORM, begins=off_course, text=LONG),),
     FaultKind.DEAF: (
         Made("ardupilot", 2.2 + DELAY_S, stage="hold", link={**MUTED, "direction": "to_vehicle"}),
-        Made("ardupilot", 1.3 + DELAY_S, stage="hold", fault={**STORM, "for_s": 20.0}, begins=off_course, text=LONG),
+        Made("ardupilot", 1.5 + DELAY_S, stage="hold", fault={**STORM, "for_s": 20.0}, begins=off_course, text=LONG),
     ),
     FaultKind.TAKEN: (
         Made("px4", 0.5, fault={"kind": "taken_over", "mode": "LAND"}),
