@@ -123,15 +123,22 @@ def errors(real: RealFlight, seed: int, *, stopped: bool) -> Errors:
     return Errors(rms_m, worst_m, centre_m, summary["completed"] is True)
 
 
+def as_recorded(text: str) -> str:
+    """Return a mission's text with formation and speed of the recorded flights.
+
+    Those were not slowed for vehicles that stop hearing us, and their faces were not rolled.
+    """
+    text = re.sub(r"(?m)^roll_deg = .*\n", "", text)
+    return re.sub(r"(?m)^separation_m = [0-9.]+", rf"\g<0>\nfault_separation_m = {NOT_SLOWED_M}", text)
+
+
 def _mission(name: str, seed: int, *, stopped: bool) -> Mission:
     path = MISSIONS / f"{name}.toml"
     text = path.read_text(encoding="utf-8")
     if not stopped:
         text = re.sub(r"(?m)^separation_m = [0-9.]+", f"separation_m = {CLOSE_M}", text)
-    # As fast as the recorded flights: they were not slowed for vehicles that stop hearing us
-    text = re.sub(r"(?m)^separation_m = [0-9.]+", rf"\g<0>\nfault_separation_m = {NOT_SLOWED_M}", text)
     collisions = "true" if stopped else "false"
-    return parse_mission(f"{text}\n[simulator]\nseed = {seed}\ncollisions = {collisions}\n", path)
+    return parse_mission(f"{as_recorded(text)}\n[simulator]\nseed = {seed}\ncollisions = {collisions}\n", path)
 
 
 def _row(real: RealFlight, flown: Sequence[Errors], shipped: Sequence[Errors]) -> tuple[Cell, ...]:

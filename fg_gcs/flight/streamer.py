@@ -86,7 +86,7 @@ class Streamer:
         self._chosen: NDArray[np.int_] | None = None  # rows that are sent to, where others of the motion's are not
         self._told: set[tuple[int, str]] = set()  # rows of vehicles and why their setpoints do not pass
         self._sent = asyncio.Event()
-        self._due_s = -np.inf
+        self._due_s = self._stalled_s = -np.inf
         self._rounds_s: deque[float] = deque(maxlen=REMEMBERED)  # when the last ones had left
 
     @property
@@ -137,8 +137,7 @@ class Streamer:
                 began, last, now_s = last < 0, k, loop.time()
                 stood_s = max(missed * self.period_s, late_s) + self.period_s
                 if not began and stood_s > STALL_S and self.stalled is not None:
-                    self.motion = None
-                    self.stalled(stood_s)
+                    self.stood_still(stood_s)
                     continue
                 self._send(self.motion, now_s)
                 self._recorder.ticks.append((self._recorder.since_start_s(now_s), late_s))
@@ -149,6 +148,13 @@ class Streamer:
                     self.after_round(now_s)
             else:
                 last = -1
+
+    def stood_still(self, seconds: float) -> None:
+        """Drop the motion, as this program stood still for so long [s]; told once, whoever notices it first."""
+        now_s = asyncio.get_running_loop().time()
+        if self.stalled is not None and now_s - self._stalled_s > STALL_S:
+            self.motion, self._stalled_s = None, now_s
+            self.stalled(seconds)
 
     def _send(self, motion: Motion, now_s: float) -> None:
         moved = self._moved_by(motion)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
@@ -17,10 +18,13 @@ from fg_gcs.flight.safety import SPARE_S, Bounds, Finding, Picture, asked_s, del
 from fg_gcs.flight.streamer import STALL_S
 from fg_gcs.link.clock import ticks
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
+from fg_gcs.wire.commands import set_mode
+from fg_gcs.wire.dialogue import Dialogue, State
 from fg_gcs.wire.phases import Phase
 
 WATCH_S: Final = 0.05  # at 10 m/s half a metre of way
 FOLLOWS_S: Final = 1.0  # whoever follows setpoints again by itself does, and says so, within that
+CALLED_S: Final = 3.0  # and whoever is called back does
 CONFIRMED_S: Final = 0.3  # a course that is left for so long is left
 PARTED_S: Final = 8.0  # whoever is below a vehicle that is to land has had time enough to get away
 FORGETS_S: Final = (
@@ -62,6 +66,7 @@ class Watch:
         self._asked_s = -math.inf
         self._told_speed_m_s = np.zeros(len(context.fleet.vehicles))
         self._origins = OriginWatch(context.fleet.states)
+        self._called: dict[int, Dialogue] = {}  # back after this program stood still, by their rows
         self._time = context.journal.time
 
     async def run(self) -> None:
@@ -70,11 +75,11 @@ class Watch:
         async for _, late_s in ticks(self._time(), WATCH_S):
             now_s = self.turned_s = self._time()
             if late_s > STALL_S:  # this program stood still: what the vehicles said meanwhile has yet to be read
+                self._context.streamer.stood_still(late_s)
                 delays_s = (delay_of(vehicle) for vehicle in self._context.fleet.vehicles)
                 blind_until_s = now_s + FOLLOWS_S + 2.0 * max(delays_s)
             elif now_s >= blind_until_s > -math.inf:
-                self._see_what_changed(now_s)
-                blind_until_s = -math.inf
+                blind_until_s = now_s + 0.5 * WATCH_S if self._call_back(now_s) else -math.inf
             moved = self._join_origins()
             watched = WATCHED.get(self._context.journal.stage, frozenset())
             if watched:
@@ -83,16 +88,38 @@ class Watch:
                     self._look(watched, now_s, moved)
             self._attend(now_s)
 
-    def _see_what_changed(self, now_s: float) -> None:
-        """Take back those that follow setpoints again after this program stood still; give up those that do not.
+    def _call_back(self, now_s: float) -> bool:
+        """Take those back that follow setpoints again after this program stood still, and call back those that hover.
+
+        Whoever does not come is given up, as is who lands or returns already. Until then nothing is looked at.
+
+        Returns:
+            Whether somebody is still called.
+        """
+        vehicles = self._context.fleet.vehicles
+        changed = [row for row in self._watched_rows() if vehicles[row].phase in (Phase.TAKEN, Phase.LANDED)]
+        away = [row for row in changed if not vehicles[row].take_back(now_s)]
+        for row in away:
+            profile = vehicles[row].profile
+            if row not in self._called and vehicles[row].mode in profile.hovering_modes:
+                request = replace(set_mode(profile.streaming_mode), deadline_s=CALLED_S)
+                self._called[row] = Dialogue(vehicles[row], request)
+        for row, dialogue in self._called.items():
+            for message in dialogue.step(now_s):
+                self._context.fleet.router.send_message(vehicles[row].address, message)
+        if any(row in away and dialogue.state is State.PENDING for row, dialogue in self._called.items()):
+            return True
+        self._called.clear()
+        if away:
+            self._leave(away)
+        return False
+
+    def _leave(self, rows: list[int]) -> None:
+        """Give up those that come down by themselves.
 
         Whoever returns, each at a height of its own, goes on: what comes of that was computed before arming.
         """
         context, vehicles = self._context, self._context.fleet.vehicles
-        changed = [row for row in self._watched_rows() if vehicles[row].phase in (Phase.TAKEN, Phase.LANDED)]
-        rows = [row for row in changed if not vehicles[row].take_back(now_s)]
-        if not rows:
-            return
         returning = [row for row in rows if context.custody.returns(row)]
         for row in rows:
             context.custody.take(row, Care.LEAVE if row in returning else Care.LAND)

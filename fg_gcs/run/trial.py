@@ -38,7 +38,7 @@ LONGEST_S: Final = 900.0  # of a flight with its end: whatever takes longer hang
 IN_THE_AIR_M: Final = 0.3  # above the ground
 NOISE_M: Final = 0.01  # by which a distance may be below its minimum: what particles are off by
 SLACK_M: Final = 0.05  # likewise of a pair of which one could not hear us
-STREAMED: Final = frozenset({"gather", "approach", "hold", "home"})  # stages with setpoints all the time
+WATCHED: Final = frozenset({"take-off", "gather", "approach", "hold", "home", "land"})  # stages of the flight itself
 FAILSAFES: Final = MappingProxyType(  # whose values are ours: landing, or hovering and returning
     {"px4": ("COM_OBL_RC_ACT", (4.0, 5.0)), "ardupilot": ("FS_GCS_ENABLE", (5.0, 1.0))}
 )
@@ -320,7 +320,7 @@ async def _stand_still(judge_: _Judge, simulator: Simulator, stall: Stall) -> No
     """Let the station stand still."""
     director = await _in_stage(judge_, stall.stage)
     await asyncio.sleep(stall.after_s)
-    if director.journal.stage in STREAMED:
+    if director.journal.stage in WATCHED:
         judge_.stood_still.append(director.journal.stage)
     stand_still(simulator, stall.lasts_s, LOOKS_S, judge_.look)
 

@@ -12,7 +12,7 @@ from fg_gcs.mission import Mission, load_mission, parse_mission
 from fg_gcs.run.harms import Death, Deaths, Stall, Stranger, StrangerKind
 from fg_gcs.run.trial import Judgement, Trial, judge
 from fg_gcs.run.trials import TASKS, WRONGS, trial_of
-from tests.flight.harness import AUTOPILOTS, SMALL
+from tests.flight.harness import AUTOPILOTS, SMALL, UPRIGHT
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 DEMO = load_mission(MISSIONS / "demo.toml")
@@ -129,6 +129,30 @@ def test_a_station_that_stood_still_says_so_and_brings_everybody_down(autopilot:
     assert found.result is not None
     assert found.result.reason == f"this program stood still for {lasts_s:.1f} s"
     assert found.result.summary["vehicles_landed"] == 4
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "lasts_s", "becomes"),
+    [
+        ("px4", 5.0, "stage: land"),  # they hover, and follow setpoints again as soon as they come
+        ("px4", 12.0, "stage: land"),  # they hover, as heartbeats are missing, too: they are called back
+        ("px4", 17.0, "vehicles 1-4 are on the way down"),  # they return already, each at a height of its own
+        ("ardupilot", 14.0, "vehicles 1-4 are on the way down"),
+    ],
+)
+def test_after_a_stall_an_upright_formation_comes_down_without_meeting(
+    autopilot: str, lasts_s: float, becomes: str
+) -> None:
+    found = judged(autopilot, parse_mission(UPRIGHT), stalls=(Stall(lasts_s, "approach", 1.0),))
+    assert becomes in said(found)
+    assert found.closest_unhearing_m > 1.5  # the mission's separation
+    assert ("on the way down" in said(found)) is ("on the way down" in becomes)
+
+
+@pytest.mark.parametrize(("autopilot", "stage"), [("ardupilot", "take-off"), ("px4", "land")])
+def test_a_stall_without_setpoints_is_told_too(autopilot: str, stage: str) -> None:
+    found = judged(autopilot, FOUR, stalls=(Stall(3.0, stage, 1.0),))
+    assert "this program stood still for 3.0 s" in said(found)
 
 
 def test_the_judge_sees_a_stall_that_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fg_gcs.mission import load_mission
+from fg_gcs.experiment.measured import as_recorded
+from fg_gcs.mission import parse_mission
 from fg_gcs.plan.trajectory import Sample
 from fg_gcs.run.planning import plan
 from sitl_mock import profiles
@@ -24,7 +25,7 @@ SINGLE_RUN_M = 0.3  # the record's own repeatability: one run of one vehicle; he
 @pytest.fixture(scope="module")
 def approach() -> tuple[Sample, float]:
     """The plan's samples, denser than the stream, from before its beginning to the end of the hold; its duration."""
-    made = plan(load_mission(MISSION)).flight.approach
+    made = plan(parse_mission(as_recorded(MISSION.read_text()))).flight.approach
     times_s = np.arange(-SETTLING_S, made.duration_s + HOLD_S + 1.0, PHYSICS.time.step_s)
     return made.sample(times_s), made.duration_s
 
