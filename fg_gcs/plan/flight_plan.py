@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -200,11 +200,15 @@ def _verified(
     if rule is None:
         return {name: (part, None) for name, part in free.items()}, None
 
-    def tried(choice: LostLinkRule) -> dict[str, Kept]:
-        return {
-            name: keeping_apart(each, task.rules, task.target_enu_m, choice, MOST_SLOWER)
-            for name, each in pieces.items()
-        }
+    def tried(rule: LostLinkRule) -> Iterator[tuple[dict[str, Kept], LostLinkRule]]:
+        for choice in rule.choices():
+            found = {
+                name: keeping_apart(each, task.rules, task.target_enu_m, choice, MOST_SLOWER)
+                for name, each in pieces.items()
+            }
+            yield found, choice
+            if all(choice.is_kept(each.nearest) and max(each.slower) == 1.0 for each in found.values()):
+                return  # none is shorter
 
     def merit(one: tuple[dict[str, Kept], LostLinkRule]) -> tuple[bool, float]:
         kept, choice = one
@@ -212,7 +216,7 @@ def _verified(
         good = choice.is_kept(worst)
         return good, -sum(each.plan.duration_s for each in kept.values()) if good else worst.distance_m
 
-    kept, rule = max(((tried(choice), choice) for choice in rule.choices()), key=merit)
+    kept, rule = max(tried(rule), key=merit)
     worst = min(each.nearest for each in kept.values())
     if not rule.is_kept(worst) and rule.remedy != "slow":
         raise PlanError(too_near(worst, rule))
