@@ -340,6 +340,8 @@ def respond(trigger: FaultKind | RequestKind, now: Situation) -> Response:
         return Response(max(now.rung, asked), again=False, care=Care.FLY)
     row = ROWS[trigger]
     rung = max(now.rung, row.rung)
+    if trigger is FaultKind.STALL and now.part is Part.DESCENT:
+        rung = now.rung  # nobody needs anything of us while all land
     # Whoever comes down by itself has no plan that could be made anew
     again = now.rung >= Rung.HOME and row.rung >= Rung.HOME and now.part is Part.FLIGHT and rung is now.rung
     return Response(rung, again, row.care)

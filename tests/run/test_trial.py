@@ -153,6 +153,7 @@ def test_after_a_stall_an_upright_formation_comes_down_without_meeting(
 def test_a_stall_without_setpoints_is_told_too(autopilot: str, stage: str) -> None:
     found = judged(autopilot, FOUR, stalls=(Stall(3.0, stage, 1.0),))
     assert "this program stood still for 3.0 s" in said(found)
+    assert completed(found) is (stage == "land")
 
 
 def test_the_judge_sees_a_stall_that_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
