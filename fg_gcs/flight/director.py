@@ -22,7 +22,7 @@ from fg_gcs.flight.fleet import STEP_S, Fleet, NotDone
 from fg_gcs.flight.garbage import short_collections
 from fg_gcs.flight.gate import LASTS_S, Gate, GateCounts
 from fg_gcs.flight.journal import Journal
-from fg_gcs.flight.link_check import unfit_links
+from fg_gcs.flight.link_check import unfit_links, unless_doubled
 from fg_gcs.flight.link_recorder import LinkRecorder
 from fg_gcs.flight.lost_links import rule_of
 from fg_gcs.flight.policy import (
@@ -414,13 +414,14 @@ class Director:
 
         Raises:
             NotDone: there is no other one.
+            VehicleError: two of them have one id.
         """
         unready: frozenset[VehicleAddress] = frozenset()
         while True:
             fleet = await self._connect(router, wanted, unready)
             with self.journal.in_stage("prepare"):
                 try:
-                    await prepare(fleet, self.journal)
+                    await unless_doubled(prepare(fleet, self.journal), router, fleet.vehicles)
                 except NotDone as error:
                     unready |= {vehicle.address for vehicle in error.vehicles}
                     count = self.mission.swarm.vehicles

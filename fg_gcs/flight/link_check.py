@@ -2,11 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import asyncio
+from collections.abc import Coroutine, Sequence
+from typing import Final
 
+from fg_gcs.errors import VehicleError
+from fg_gcs.flight.fleet import STEP_S
+from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.vehicle import Vehicle
+
+DOUBLED_S: Final = 3.0  # two vehicles that have had one id for so long have it for good
+
+
+async def unless_doubled(work: Coroutine[object, object, None], router: Router, vehicles: Sequence[Vehicle]) -> None:
+    """Do something with vehicles, and give it up when one of them shares its id: who answers is then anybody's guess.
+
+    Raises:
+        VehicleError: two vehicles have one id; names the addresses that they speak from.
+    """
+    loop, job = asyncio.get_running_loop(), asyncio.ensure_future(work)
+    since_s = loop.time()
+    try:
+        async for _ in ticks(since_s, STEP_S):
+            if job.done():
+                return job.result()
+            twice = [line for address, line in router.doubled.items() if router.vehicles[address] in vehicles]
+            if not twice:
+                since_s = loop.time()
+            elif loop.time() - since_s > DOUBLED_S:
+                raise VehicleError("; ".join(twice))
+    finally:
+        job.cancel()
+        await asyncio.gather(job, return_exceptions=True)
 
 
 def unfit_links(router: Router, vehicles: Sequence[Vehicle]) -> str | None:

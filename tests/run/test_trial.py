@@ -171,4 +171,7 @@ def test_strangers_in_flight_change_nothing(kind: StrangerKind) -> None:
 def test_who_has_a_twin_before_arming_does_not_fly() -> None:
     found = judged("px4", FOUR, strangers=(Stranger("twin", 2, "connect", 0.05),))
     assert not completed(found)
+    assert found.result is not None
+    assert found.result.reason.startswith("two vehicles have the system id 2: at 127.0.0.1:")
+    assert found.ended_s < 5.0
     assert found.closest_unhearing_m == float("inf")  # nobody left the ground
