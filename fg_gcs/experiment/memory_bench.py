@@ -49,7 +49,7 @@ def memory_bench(text: str, hold_s: float = HOUR_S) -> MemoryFigures:
     peak_mb = memory_mb("VmHWM")
     if result.error is not None:
         raise result.error
-    after = [size_mb for time_s, size_mb in looks.taken if time_s >= SAMPLE_S]
+    after = [size_mb for time_s, size_mb in looks.taken if round(time_s) >= SAMPLE_S]  # off by rounding only
     if not result.completed or len(after) < 2:
         raise FgError(f"no flight of more than two minutes: {result.reason or 'it was over before'}")
     return MemoryFigures(
