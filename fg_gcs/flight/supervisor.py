@@ -12,6 +12,7 @@ from fg_gcs.flight.policy import ROWS, Fault, FaultKind
 
 LOOKS: Final = 4.0  # times within a watchdog's time that a sign of life is sought
 AGAIN_S: Final = 0.5  # between two starts of a task that dies again and again
+MISSING: Final = 2  # in a row that find none: after a stall of the whole loop every task is late once
 OFTEN: Final = 10  # deaths of one task that are told
 
 
@@ -33,6 +34,11 @@ class Duty(NamedTuple):
     watchdog_s: float
     dies: FaultKind
     dies_again: FaultKind
+
+    @property
+    def noticed_s(self) -> float:
+        """How long it may take until it is noticed that it hangs [s]."""
+        return self.watchdog_s * (1.0 + MISSING / LOOKS)
 
 
 def bystander(
@@ -115,9 +121,8 @@ class Supervisor:
             while not task.done():
                 await asyncio.wait((task,), timeout=duty.watchdog_s / LOOKS)
                 silent_s = loop.time() - max(duty.turned_s(), began_s)
-                # Twice, as after a stall of the whole loop every task is late once
                 missing = missing + 1 if silent_s > duty.watchdog_s else 0
-                if missing > 1 and not task.done():
+                if missing >= MISSING and not task.done():
                     raise Hung(duty.name, silent_s)
             if not task.cancelled():
                 task.result()

@@ -71,10 +71,16 @@ class Deaths:
 
     def __init__(self) -> None:
         self._struck: dict[str, asyncio.Future[bool]] = {}  # by the names of duties; whether they hang
+        self._noticed_s: dict[str, float] = {}
 
     def around(self, duty: Duty) -> Duty:
         """Return the duty with a task that can be struck."""
+        self._noticed_s[duty.name] = duty.noticed_s
         return duty._replace(work=partial(self._work, duty))
+
+    def noticed_s(self, death: Death) -> float:
+        """Return how long it may take until it is noticed [s]."""
+        return self._noticed_s[death.task]
 
     def strike(self, death: Death) -> bool:
         """Let a task die or hang, and say whether there is such a task."""

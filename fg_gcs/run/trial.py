@@ -155,7 +155,7 @@ class _Judge(Observer):
         self._failsafe: dict[int, float] = {}
         self.director: Director | None = None
         self.deaths = Deaths()
-        self.struck: list[str] = []  # names of tasks
+        self.struck: dict[str, float] = {}  # names of tasks, and when it must have been noticed by the loop's time [s]
         self.stood_still: list[str] = []  # stages in which that should be told
         self._ids = ids
 
@@ -232,7 +232,11 @@ class _Judge(Observer):
         """Return what went wrong in the station itself and was not told."""
         flight = None if self.found.result is None else self.found.result.flight
         died = () if flight is None else flight.died
-        lines = [f"nobody noticed what became of the {name}" for name in self.struck if name not in died]
+        lines = [
+            f"nobody noticed what became of the {name}"
+            for name, noticed_s in self.struck.items()
+            if name not in died and noticed_s < self.found.ended_s
+        ]
         if self.stood_still and not any("this program stood still" in line for line in self.found.events):
             lines += [f"nobody noticed that the station stood still in {stage}" for stage in self.stood_still]
         return lines
@@ -313,7 +317,7 @@ async def _strike(judge_: _Judge, death: Death) -> None:
     await _in_stage(judge_, death.stage)
     await asyncio.sleep(death.after_s)
     if judge_.deaths.strike(death):
-        judge_.struck.append(death.task)
+        judge_.struck[death.task] = asyncio.get_running_loop().time() + judge_.deaths.noticed_s(death)
 
 
 async def _stand_still(judge_: _Judge, simulator: Simulator, stall: Stall) -> None:
