@@ -1,14 +1,17 @@
 """WGS84, ENU, NED and yaw: the only place where signs flip.
 
 Plans and files use ENU metres from the mission origin (x east, y north, z up). Each vehicle reports and obeys NED
-metres from an origin of its own, so one :class:`LocalFrame` a vehicle, learnt on the ground, joins the two.
+metres from an origin of its own, as its autopilot lays it over the Earth: :class:`LocalFrames`, learnt on the ground,
+join the two.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +22,7 @@ from fg_gcs.core.arrays import Array
 SEMI_MAJOR_M = 6_378_137.0
 FLATTENING = 1.0 / 298.257223563
 ECCENTRICITY2 = FLATTENING * (2.0 - FLATTENING)
+DERIVED_OVER_M: Final = 100.0  # to each side of the place that frames are joined for: about as far as swarms spread
 
 
 class Geodetic(NamedTuple):
@@ -32,27 +36,141 @@ class Geodetic(NamedTuple):
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class LocalFrame:
-    """A vehicle's own NED frame, seen from the mission origin.
+class Globe(Protocol):
+    """How an autopilot lays its local frame over the Earth."""
 
-    Its methods take one vector as plain floats: a position report has no use for arrays, and thousands come
-    in a second. :func:`swap_ned_enu` is the same for arrays.
+    def local_m(self, place: Geodetic, origin: Geodetic) -> tuple[float, float]:
+        """Return where a place lies in the local frame of an origin: northwards and eastwards [m]."""
+
+
+class EquirectangularGlobe(NamedTuple):
+    """North by the difference of latitudes, east by that of longitudes at the latitude between: ArduPilot's.
+
+    `Location::get_distance_NE` of [ArduPilot], with a sphere of 0.011131884502 m per 1e-7 degrees.
     """
 
-    origin_enu_m: Vector  # where the vehicle reads (0, 0, 0)
+    radius_m: float
 
-    def enu_from_ned(self, position_ned_m: Vector) -> Vector:
-        """Return the mission position of a local one [m]."""
+    def local_m(self, place: Geodetic, origin: Geodetic) -> tuple[float, float]:
+        """Return where a place lies in the local frame of an origin: northwards and eastwards [m]."""
+        between = math.cos(math.radians(0.5 * (place.latitude_deg + origin.latitude_deg)))
+        north = math.radians(place.latitude_deg - origin.latitude_deg)
+        return self.radius_m * north, self.radius_m * math.radians(_turn_deg(place, origin)) * between
+
+
+class EquidistantGlobe(NamedTuple):
+    """Azimuthal equidistant: lengths and directions from the origin are those on a sphere: PX4's.
+
+    `MapProjection::project` of [PX4], with a sphere of 6371 km; the formula is of [Snyder1987], chapter 25.
+    """
+
+    radius_m: float
+
+    def local_m(self, place: Geodetic, origin: Geodetic) -> tuple[float, float]:
+        """Return where a place lies in the local frame of an origin: northwards and eastwards [m]."""
+        latitude, at, turn = (
+            math.radians(angle) for angle in (place.latitude_deg, origin.latitude_deg, _turn_deg(place, origin))
+        )
+        aside = math.cos(latitude) * math.sin(turn)
+        # sin(latitude - at), and what curvature adds: differences of what is nearly the same lose digits
+        ahead = math.sin(latitude - at) + math.sin(at) * math.cos(latitude) * 2.0 * math.sin(0.5 * turn) ** 2
+        chord = math.hypot(aside, ahead)
+        angle = math.atan2(
+            chord, math.sin(at) * math.sin(latitude) + math.cos(at) * math.cos(latitude) * math.cos(turn)
+        )
+        scale = self.radius_m * (angle / chord if chord > 0.0 else 1.0)
+        return scale * ahead, scale * aside
+
+
+def _turn_deg(place: Geodetic, origin: Geodetic) -> float:
+    """Return the difference of longitudes, the short way round [deg]."""
+    return (place.longitude_deg - origin.longitude_deg + 180.0) % 360.0 - 180.0
+
+
+class Seen(NamedTuple):
+    """A vehicle's own frame as it is to be joined to the mission's.
+
+    Attributes:
+        globe: How it is laid over the Earth.
+        origin: Where it has its zero.
+        zero_up_m: Height of its zero in the mission's [m; up].
+    """
+
+    globe: Globe
+    origin: Geodetic
+    zero_up_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class LocalFrames:
+    """The own NED frames of V vehicles, seen from the mission's origin.
+
+    An autopilot takes the Earth for a sphere, and lays its local frame over that, whose north is the meridian's at its
+    own origin: its metres are up to 0.3 % longer or shorter than true ones, and turned. Over the few hundred metres of
+    a swarm that is an affine map, exact to a millimetre near the place that it is made for.
+
+    Attributes:
+        origins_enu_m: Where they read (0, 0, 0), shape (V, 3) [m; ENU].
+        axes: Metres eastwards and northwards (rows) per local metre eastwards and northwards (columns), shape
+            (V, 2, 2).
+    """
+
+    origins_enu_m: Array
+    axes: Array
+
+    @classmethod
+    def joined(cls, frames: Sequence[Seen], origin: Geodetic, around_enu_m: Array) -> LocalFrames:
+        """Join vehicles' frames to the mission's.
+
+        Args:
+            frames: The vehicles' own.
+            origin: Of the mission.
+            around_enu_m: Where it has to be exact: where vehicles fly together, shape (3,) [m; ENU].
+        """
+        moves = [np.zeros(3), *(sign * DERIVED_OVER_M * axis for axis in np.eye(3)[:2] for sign in (1.0, -1.0))]
+        places = [geodetic_from_enu(around_enu_m + move, origin) for move in moves]
+        local = np.array(  # (V, 5, 2): eastwards, northwards
+            [[seen.globe.local_m(place, seen.origin)[::-1] for place in places] for seen in frames]
+        ).reshape(-1, 5, 2)
+        derivative = np.stack((local[:, 1] - local[:, 2], local[:, 3] - local[:, 4]), axis=2) / (2.0 * DERIVED_OVER_M)
+        axes: Array = np.linalg.inv(derivative).astype(float)
+        flat = np.asarray(around_enu_m)[:2] - np.einsum("vij,vj->vi", axes, local[:, 0])
+        return cls(np.column_stack((flat, [seen.zero_up_m for seen in frames])), axes)
+
+    @classmethod
+    def parallel(cls, origins_enu_m: Array) -> LocalFrames:
+        """Return frames that are the mission's but for their origins, shape (V, 3) [m; ENU]."""
+        return cls(np.asarray(origins_enu_m, dtype=float), np.tile(np.eye(2), (len(origins_enu_m), 1, 1)))
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Local metres eastwards and northwards (rows) per metre eastwards and northwards (columns), (V, 2, 2)."""
+        found: Array = np.linalg.inv(self.axes).astype(float)
+        return found
+
+    @cached_property
+    def rows(self) -> list[list[float]]:
+        """Each vehicle's origin and axes as plain numbers: x, y, z, and the axes row by row."""
+        numbers: list[list[float]] = np.column_stack((self.origins_enu_m, self.axes.reshape(-1, 4))).tolist()
+        return numbers
+
+    def enu_m(self, local_enu_m: Array) -> Array:
+        """Return mission positions of local ones whose axes are swapped already, shape (V, 3) each [m; ENU]."""
+        places: Array = self.origins_enu_m + local_enu_m
+        places[:, :2] = self.origins_enu_m[:, :2] + np.einsum("vij,vj->vi", self.axes, local_enu_m[:, :2])
+        return places
+
+    def one_enu_m(self, row: int, position_ned_m: Vector) -> Vector:
+        """Return one vehicle's mission position of a local one [m], as plain numbers: thousands come in a second."""
+        x, y, z, ee, en, ne, nn = self.rows[row]
         north, east, down = position_ned_m
-        x, y, z = self.origin_enu_m
-        return (x + east, y + north, z - down)
+        return (x + ee * east + en * north, y + ne * east + nn * north, z - down)
 
-    def ned_from_enu(self, position_enu_m: Vector) -> Vector:
-        """Return the local position of a mission one [m]."""
-        east, north, up = position_enu_m
-        x, y, z = self.origin_enu_m
-        return (north - y, east - x, z - up)
+    def moved(self, row: int, by_enu_m: Array) -> LocalFrames:
+        """Return the frames with the origin of one of them moved, shape (3,) [m; ENU]."""
+        origins = self.origins_enu_m.copy()
+        origins[row] += by_enu_m
+        return LocalFrames(origins, self.axes)
 
 
 def rotate_ned_enu(vector: Vector) -> Vector:

@@ -119,7 +119,7 @@ class OwnStation:
             if k * FLUSH_S > wait_s:
                 raise LinkError(f"{len(heard)} of {count} vehicles are heard within {wait_s:g} s")
         self.fleet = self._link_recorder.fleet = Fleet(router, sorted(heard, key=lambda vehicle: vehicle.address))
-        self.fleet.learn_frames(None, np.zeros(2))
+        self.fleet.learn_frames(None, np.zeros(2), np.zeros(3))
 
     async def send(self, numbers: Numbers) -> None:
         """Send each vehicle its setpoint."""

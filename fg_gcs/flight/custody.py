@@ -129,8 +129,8 @@ class Custody:
         if not np.isfinite(place).all():  # it never told; it has not left its pad as far as known
             place = self._pads_enu_m[row]
         heard = now_s - vehicle.position_at_s < FRESH_S
-        if heard and not vehicle.armed:
-            return _around(place, place, place[2] + ON_GROUND_M, NEAR_M)
+        if heard and not vehicle.armed:  # whose heights may count from where it started again up in the air
+            return _around(place, place, max(place[2], 0.0) + ON_GROUND_M, NEAR_M)
         if heard and self.care(row) is Care.LEAVE and _travels(vehicle):
             return _around(place, self._pads_enu_m[row], max(place[2], RETURN_M) + RISES_M, UNHEARD_M)
         if heard:

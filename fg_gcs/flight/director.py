@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.frames import Geodetic, geodetic_from_enu
+from fg_gcs.core.frames import Geodetic
 from fg_gcs.errors import FgError, MissionError, PlanError, VehicleError
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.custody import Custody
@@ -452,7 +452,7 @@ class Director:
         failsafes.append(Failsafes(fleet, self.journal, self._setup.kept))
         await failsafes[0].set()
         origin = self.mission.origin_geodetic() if self._knows_origin else None
-        fleet.learn_frames(origin, self.mission.pads_enu_m()[0])
+        fleet.learn_frames(origin, self.mission.pads_enu_m()[0], task.start.centre_enu_m)
         self.journal.recorder.know(
             vehicles=len(fleet.vehicles),
             limits=vars(limits),
@@ -530,10 +530,8 @@ class Director:
 
     def _origin(self) -> Geodetic:
         """Return where on Earth the mission's (0, 0, 0) is: as the file says, or as learnt from the first vehicle."""
-        own = None if self.fleet is None else self.fleet.vehicles[0].origin
-        if self._knows_origin or self.fleet is None or own is None:
-            return self.mission.origin_geodetic()
-        return geodetic_from_enu(-np.array(self.fleet.frames[0].origin_enu_m), Geodetic(*own))
+        learnt = None if self.fleet is None else self.fleet.origin
+        return learnt or self.mission.origin_geodetic()
 
     async def _drain(self, router: Router) -> None:
         """Write down what vehicles and router say while it happens, and all tables: run it as a task."""

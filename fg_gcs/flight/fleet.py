@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.frames import Geodetic, LocalFrame, enu_from_geodetic, geodetic_from_enu, swap_ned_enu
+from fg_gcs.core.frames import Geodetic, LocalFrames, Seen, geodetic_from_enu, swap_ned_enu
 from fg_gcs.errors import VehicleError
 from fg_gcs.flight.located import Located, located
+from fg_gcs.flight.origins import MOVED_M, away_m
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.router import Router
 from fg_gcs.record.write.layouts import TELEMETRY
@@ -37,7 +38,8 @@ class Fleet:
         states: where they are and how they move, in their own frames, as telemetry comes.
         networks: names of their networks as tables have them, shape (V,).
         system_ids: shape (V,).
-        origins_enu_m: of the vehicles' own frames in the mission's, shape (V, 3) once they are known [m; ENU].
+        frames: the vehicles' own in the mission's; none before they are learnt.
+        origin: where the mission's (0, 0, 0) is, once that is known.
     """
 
     def __init__(self, router: Router, vehicles: Sequence[Vehicle]) -> None:
@@ -53,10 +55,10 @@ class Fleet:
         self.networks = np.array(self._names)
         self.system_ids = np.array([v.address.system_id for v in self.vehicles])
         router.count_only(self.row_of)
-        self.frames: tuple[LocalFrame, ...] = ()
-        self.origins_enu_m = np.empty((0, 3))
+        self.frames: LocalFrames | None = None
+        self.origin: Geodetic | None = None
 
-    def learn_frames(self, origin: Geodetic | None, first_pad_enu_m: Array) -> None:
+    def learn_frames(self, origin: Geodetic | None, first_pad_enu_m: Array, around_enu_m: Array) -> None:
         """Join every vehicle's own frame to the mission's, while all stand on the ground.
 
         Horizontally by the geodetic origins that they report; vertically each vehicle's ground is height 0, because
@@ -65,22 +67,32 @@ class Fleet:
         Args:
             origin: where the mission's origin is; None: so that the first vehicle stands on the first pad.
             first_pad_enu_m: that pad, shape (2,) [m].
+            around_enu_m: where they fly together, shape (3,) [m; ENU].
 
         Raises:
-            VehicleError: a vehicle has not told its origin or its position.
+            VehicleError: a vehicle has not told its origin or its position, or the frame that it tells positions in
+                lies elsewhere than it says.
         """
         missing = [v.address for v in self.vehicles if v.origin is None or v.ground_ned_m is None]
         if missing:
             raise VehicleError(f"{vehicles_named(missing)} did not tell origin or position")
-        places = [(Geodetic(*v.origin), v.ground_ned_m) for v in self.vehicles if v.origin and v.ground_ned_m]
+        for vehicle in self.vehicles:
+            found_m = away_m(vehicle)
+            if found_m is not None and found_m > MOVED_M:
+                raise VehicleError(
+                    f"vehicle {vehicle.address}: its local frame lies {found_m:.1f} m from where GPS_GLOBAL_ORIGIN "
+                    "says, by its own positions; start it again"
+                )
+        grounds = [v.ground_ned_m for v in self.vehicles if v.ground_ned_m]
+        seen = [
+            Seen(v.profile.globe, Geodetic(*v.origin), ground[2])
+            for v, ground in zip(self.vehicles, grounds, strict=True)
+            if v.origin
+        ]
         if origin is None:
-            own_origin, ground = places[0]
-            away = np.append(np.asarray(first_pad_enu_m), 0.0) - swap_ned_enu(np.array([*ground[:2], 0.0]))
-            origin = geodetic_from_enu(-away, own_origin)
-        for own_origin, ground in places:
-            east, north, _ = enu_from_geodetic(own_origin, origin).tolist()
-            self.frames += (LocalFrame((east, north, ground[2])),)
-        self.origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
+            away = np.append(np.asarray(first_pad_enu_m), 0.0) - swap_ned_enu(np.array([*grounds[0][:2], 0.0]))
+            origin = geodetic_from_enu(-away, seen[0].origin)
+        self.origin, self.frames = origin, LocalFrames.joined(seen, origin, around_enu_m)
 
     def learn_frames_in_flight(self) -> None:
         """Join the vehicles' own frames to that of the first one, by the origins that they report.
@@ -94,9 +106,12 @@ class Fleet:
         if missing:
             raise VehicleError(f"{vehicles_named(missing)} did not tell origin or position")
         origins = [Geodetic(*v.origin) for v in self.vehicles if v.origin is not None]
-        places = [enu_from_geodetic(origin, origins[0]).tolist() for origin in origins]
-        self.frames = tuple(LocalFrame((east, north, up)) for east, north, up in places)
-        self.origins_enu_m = np.array([frame.origin_enu_m for frame in self.frames])
+        self.origin = origins[0]
+        seen = [
+            Seen(v.profile.globe, origin, origin.altitude_m - self.origin.altitude_m)
+            for v, origin in zip(self.vehicles, origins, strict=True)
+        ]
+        self.frames = LocalFrames.joined(seen, self.origin, np.zeros(3))
 
     def move_origin(self, row: int, by_enu_m: Array) -> None:
         """Join a vehicle's own frame, which has moved in flight, to the mission's anew; its ground stays where it is.
@@ -105,16 +120,17 @@ class Fleet:
             row: of the vehicle.
             by_enu_m: by how much it has moved, shape (3,) [m; ENU].
         """
-        origins: Array = self.origins_enu_m.copy()  # another array: whoever keeps the old one sees that it is old
-        origins[row] += by_enu_m
-        self.origins_enu_m = origins
-        frames = list(self.frames)
-        frames[row] = LocalFrame((float(origins[row, 0]), float(origins[row, 1]), float(origins[row, 2])))
-        self.frames = tuple(frames)
+        self.frames = self.known_frames.moved(row, by_enu_m)
         state = self.states[row]
         north, east, down = swap_ned_enu(np.asarray(by_enu_m)).tolist()
         ground = state.ground_north_m - north, state.ground_east_m - east, state.ground_down_m - down
         self.states.set_ground(row, *ground)
+
+    @property
+    def known_frames(self) -> LocalFrames:
+        """The vehicles' own frames, where none can be without them."""
+        assert self.frames is not None, "learnt before anything flies"
+        return self.frames
 
     @property
     def armed(self) -> NDArray[np.bool_]:
@@ -123,7 +139,7 @@ class Fleet:
 
     def located(self, now_s: float) -> Located:
         """Return where all vehicles are at one instant of the loop's time [s], with age and uncertainty."""
-        return located(self.states, self.origins_enu_m, now_s)
+        return located(self.states, self.known_frames, now_s)
 
     def positions_enu_m(self, now_s: float | None = None) -> Array:
         """Return where the vehicles are, shape (V, 3) [m; ENU].
@@ -133,15 +149,14 @@ class Fleet:
         """
         if now_s is not None:
             return self.located(now_s).position_enu_m
-        positions: Array = swap_ned_enu(self.states.position_ned_m) + self.origins_enu_m
-        return positions
+        return self.known_frames.enu_m(swap_ned_enu(self.states.position_ned_m))
 
     def position_enu_m(self, vehicle: Vehicle) -> tuple[float, float, float] | None:
         """Return where a vehicle is [m; ENU]; None while its position or its frame is not known."""
         row = self.row_of.get(vehicle.address)
-        if row is None or not self.frames or vehicle.position_ned_m is None:
+        if row is None or self.frames is None or vehicle.position_ned_m is None:
             return None
-        return self.frames[row].enu_from_ned(vehicle.position_ned_m)
+        return self.frames.one_enu_m(row, vehicle.position_ned_m)
 
     def telemetry_row(self, vehicle: Vehicle, time_s: float) -> tuple[float | bytes, ...] | None:
         """Return a vehicle's newest state as a row of the telemetry table; None while it or its frame is not known.
@@ -151,15 +166,14 @@ class Fleet:
             time_s: since the run's start [s].
         """
         row = self.row_of.get(vehicle.address)
-        if row is None or not self.frames:
+        if row is None or self.frames is None:
             return None
         north, east, down, v_north, v_east, v_down, boot_time_s, _, _, _, ground_down, yaw_rad = self.states.numbers(
             row
         )
         if math.isnan(north):
             return None
-        x, y, z = self.frames[row].origin_enu_m  # as `LocalFrame.enu_from_ned`, of which thousands come in a second
-        place = (x + east, y + north, z - down, v_east, v_north, -v_down)
+        place = (*self.frames.one_enu_m(row, (north, east, down)), v_east, v_north, -v_down)
         return (time_s, self._names[row], vehicle.system_id, *place, yaw_rad, boot_time_s, ground_down - down)
 
     def addresses_of(self, rows: NDArray[np.int_]) -> tuple[VehicleAddress, ...]:

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fg_gcs.core.arrays import Array
+from fg_gcs.core.frames import LocalFrames
 from fg_gcs.wire.states import VELOCITIES_S, StateTable
 
 MOST_CARRIED_S: Final = 0.5  # a sample is carried on for so long: what a vehicle did is then no longer what it does
@@ -36,7 +37,7 @@ class Located(NamedTuple):
 
 
 def located(
-    states: StateTable, origins_enu_m: Array, now_s: float, acceleration_m_s2: float = MOST_ACCELERATION_M_S2
+    states: StateTable, frames: LocalFrames, now_s: float, acceleration_m_s2: float = MOST_ACCELERATION_M_S2
 ) -> Located:
     """Bring the newest samples of all vehicles to one instant, p + v t + a t^2 / 2.
 
@@ -46,7 +47,7 @@ def located(
 
     Args:
         states: The newest samples.
-        origins_enu_m: Origins of the vehicles' own frames, shape (V, 3) [m; ENU].
+        frames: The vehicles' own.
         now_s: The instant [s; loop time].
         acceleration_m_s2: The most that a vehicle accelerates [m/s^2].
     """
@@ -69,7 +70,7 @@ def located(
         squares += velocity * velocity
     for down in (places[:, 2], velocities[:, 2]):
         np.negative(down, out=down)
-    places += origins_enu_m
+    places = frames.enu_m(places)
     speed_m_s = np.sqrt(squares)
     sigma_m = (
         POSITION_SIGMA_M

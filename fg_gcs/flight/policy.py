@@ -210,7 +210,7 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
         ),
         FaultKind.ORIGIN: Row(
             "a vehicle's local frame moves in flight",
-            "positions that jump by 0.6 m more than velocities say; one that creeps is not noticed",
+            "positions that jump by 0.6 m more than velocities say; one that creeps: positions on Earth do not fit",
             "0.1 s and the link's delay",
             Rung.HOME,
             data="by how much; the frame is joined to the mission's anew at once, so that nobody is sent elsewhere",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from fg_gcs.errors import VehicleError
@@ -17,6 +18,7 @@ from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
 
 READY_S = 90.0  # ArduCopter needs 41 s from its boot until it can arm; twice that for a slow machine
+PAIRING_S = 1.0  # four positions on Earth come in that
 TELEMETRY_HZ = (25.0, 20.0)  # of positions: for small swarms, and for those of more than MANY vehicles
 MANY = 50
 AT_ONCE = 8  # questions to one vehicle at a time: streams and parameters tell themselves apart by ids and names
@@ -60,6 +62,8 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
         )
     except NotInTime as error:
         raise NotDone(error.vehicles, not_ready(error.vehicles)) from error
+    with suppress(NotInTime):  # without it frames are taken to lie where they are told to
+        await until(lambda: [v for v in fleet.vehicles if v.pairing is None], PAIRING_S, "tell where they are on Earth")
     _refuse_armed(fleet)
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
     journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")

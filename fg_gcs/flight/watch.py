@@ -65,7 +65,7 @@ class Watch:
         self._given_up_s: dict[int, float] = {}
         self._asked_s = -math.inf
         self._told_speed_m_s = np.zeros(len(context.fleet.vehicles))
-        self._origins = OriginWatch(context.fleet.states)
+        self._origins = OriginWatch(context.fleet.vehicles, context.fleet.states)
         self._called: dict[int, Dialogue] = {}  # back after this program stood still, by their rows
         self._time = context.journal.time
 
@@ -136,14 +136,16 @@ class Watch:
         return [row for row in rows if not self._descents.is_begun(row)]
 
     def _join_origins(self) -> list[Finding]:
-        """Join frames that have moved to the mission's anew, and return them."""
-        fleet, found = self._context.fleet, list[Finding]()
-        for row, by_enu_m in self._origins.moved_enu_m().items():
+        """Join frames that have moved to the mission's anew, and return them; also that of one that started again."""
+        fleet, watched = self._context.fleet, self._watched_rows()
+        moved = self._origins.moved_enu_m()
+        for row, by_enu_m in moved.items():
             fleet.move_origin(row, by_enu_m)
-            found.append(
-                Finding(FaultKind.ORIGIN, (fleet.vehicles[row].address,), size=float(np.linalg.norm(by_enu_m)))
-            )
-        return found
+        return [
+            Finding(FaultKind.ORIGIN, (fleet.vehicles[row].address,), size=float(np.linalg.norm(by_enu_m)))
+            for row, by_enu_m in moved.items()
+            if row in watched
+        ]
 
     def _look(self, watched: frozenset[FaultKind], now_s: float, moved: list[Finding]) -> None:
         context = self._context

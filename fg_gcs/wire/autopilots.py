@@ -11,6 +11,7 @@ from typing import Final
 
 from pymavlink.dialects.v20 import all as dialect
 
+from fg_gcs.core.frames import EquidistantGlobe, EquirectangularGlobe, Globe
 from fg_gcs.plan.lost_link import LostLink
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.messages import Heartbeat
@@ -143,6 +144,7 @@ class AutopilotProfile:
         take_off: How it leaves the ground.
         lands_by_command: NAV_LAND lands it; otherwise the mode does.
         encoding: How integer parameters travel.
+        globe: How its local frame is laid over the Earth.
         limits: Where its limits of flight are stored.
         failsafes: What to check before arming.
         returns: What makes it hover and return at a height of its own instead; they come on top.
@@ -162,6 +164,7 @@ class AutopilotProfile:
     take_off: TakeOff
     lands_by_command: bool
     encoding: Encoding
+    globe: Globe
     limits: tuple[LimitParameter, ...]
     failsafes: tuple[FailsafeParameter, ...]
     returns: tuple[ReturnParameter, ...]
@@ -211,7 +214,7 @@ _RATES_HZ: Final = {
     "ATTITUDE": 10.0,
     "EXTENDED_SYS_STATE": 5.0,  # landed state: decides when a vehicle counts as airborne
     "SYS_STATUS": 2.0,  # readiness and battery
-    "GLOBAL_POSITION_INT": 1.0,  # for maps in recordings only
+    "GLOBAL_POSITION_INT": 4.0,  # beside local positions it shows where the local frame lies
 }
 
 _PX4_MODES: Final = {
@@ -258,6 +261,7 @@ PX4: Final = AutopilotProfile(
     take_off=TakeOff.BY_SETPOINT,
     lands_by_command=True,
     encoding=Encoding.BYTEWISE,
+    globe=EquidistantGlobe(6_371_000.0),
     limits=(
         _limit("speed_m_s", MPC_XY_VEL_MAX=1.0),
         _limit("climb_m_s", MPC_Z_VEL_MAX_UP=1.0),
@@ -312,6 +316,7 @@ ARDUPILOT: Final = AutopilotProfile(
     take_off=TakeOff.BY_COMMAND,
     lands_by_command=False,
     encoding=Encoding.CAST,
+    globe=EquirectangularGlobe(6_378_100.0),
     limits=(  # newer firmware than the measured one renamed them and went from centimetres to metres
         _limit("speed_m_s", WPNAV_SPEED=0.01, WP_SPD=1.0),
         _limit("climb_m_s", WPNAV_SPEED_UP=0.01, WP_SPD_UP=1.0),

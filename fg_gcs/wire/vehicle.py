@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 
 from pymavlink.dialects.v20 import all as dialect
 
+from fg_gcs.core.frames import Geodetic
 from fg_gcs.wire import params
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.autopilots import AutopilotProfile, profile_of
@@ -16,6 +17,7 @@ from fg_gcs.wire.messages import (
     Attitude,
     CurrentMode,
     ExtendedSysState,
+    GlobalPositionInt,
     Heartbeat,
     LocalPositionNed,
     SysStatus,
@@ -35,6 +37,7 @@ ARMING: Final = "arm"  # name of the request for it
 OVERTAKING_S: Final = 0.6  # what was sent so long before a heartbeat came had arrived when that heartbeat was sent
 _ARMS_S: Final = 5.0  # a vehicle that was asked to arm does so within that, if it does
 FELL_M: Final = 1.0  # lower than that a vehicle may call itself in the air while it stands
+PAIRED_S: Final = 0.1  # between a position on Earth and the local one that is carried to it: 5 cm at 1 m/s^2
 EVIDENCE: Final = 2  # reports in a row that it takes to believe what starts an alarm: one datagram may be a stale one
 
 _AIRBORNE: Final = frozenset(
@@ -107,6 +110,21 @@ class Origin(NamedTuple):
     alt_m: float
 
 
+class Pairing(NamedTuple):
+    """Where a vehicle says that it is at one instant, on Earth and in its own local frame.
+
+    Attributes:
+        boot_time_s: The instant, by the vehicle's clock [s].
+        place: Latitude, longitude and altitude [deg, deg, m; WGS84, above mean sea level].
+        north_m, east_m: In the local frame [m].
+    """
+
+    boot_time_s: float
+    place: Geodetic
+    north_m: float
+    east_m: float
+
+
 class Battery(NamedTuple):
     """State of charge.
 
@@ -144,13 +162,15 @@ class Vehicle:
         mode: Custom mode, None before the first heartbeat. The newest of HEARTBEAT and CURRENT_MODE.
         commanded_mode: The mode that we put it in; any other mode, once that one was seen, is a take-over.
         armed: Motors armed.
-        fell: Disarmed once while it was higher than `FELL_M` in the air, as far as it told.
+        fell: Disarmed once while it was higher than `FELL_M` in the air, as far as it told, or started again with its
+            motors on.
         prearm_ok: Pre-arm checks are good *for the current mode*: choose the streaming mode first.
         landed_state: MAV_LANDED_STATE, 0 while unknown.
         samples: Number of finite LOCAL_POSITION_NED so far, but for those that came too late: a new number is a new
             sample.
         timing: Loss, delay and jitter of its link, and its clock; whoever owns the link counts the frames there.
         origin: Origin of its local frame, None before the first GPS_GLOBAL_ORIGIN.
+        pairing: The newest of its positions that it has told both ways, None before the first.
         battery: State of charge.
         uid: Of its hardware in hexadecimal digits, "" before the first AUTOPILOT_VERSION or where that tells none.
         params: Values of the parameters heard so far, by name.
@@ -180,6 +200,7 @@ class Vehicle:
         self.landed_state = 0
         self.samples = 0
         self.origin: Origin | None = None
+        self.pairing: Pairing | None = None
         self.battery = Battery(math.nan, math.nan)
         self.uid = ""
         self.params: dict[str, float] = {}
@@ -200,6 +221,7 @@ class Vehicle:
         self._newest: dict[int | str, int] = {}  # indices of the newest frames that told of one thing
         self._arming_reports = self._foreign_modes = 0  # reports in a row
         self._falls = False  # the first of them came while it was in the air
+        self._ran = False  # its motors did, at its newest position
 
     @property
     def system_id(self) -> int:
@@ -422,11 +444,23 @@ class Vehicle:
         offset_s = self.timing.clock.stamped(boot_time_s, now_s)
         if offset_s is None:  # older than the newest, or that again
             return
+        if boot_time_s < self.boot_time_s and self._ran:  # it has started again with its motors on
+            self.fell = True
         self._states.set_motion(self._row, x, y, z, vx, vy, vz, boot_time_s, now_s)
         self._states.set_measured(self._row, vx, vy, vz, boot_time_s + offset_s)
         self.samples += 1
+        self._ran = self.armed
         if not self.armed:
             self._states.set_ground(self._row, x, y, z)
+
+    def _on_global_position(self, message: GlobalPositionInt, now_s: float) -> None:
+        """Pair it with the local position of the same instant: the newest one, carried on by its velocity."""
+        boot_time_s = message.time_boot_ms / 1000.0
+        north, east, _, v_north, v_east, _, local_s = self.state[:7]
+        passed_s = boot_time_s - local_s
+        if abs(passed_s) <= PAIRED_S and not math.isnan(north):
+            place = Geodetic(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3)
+            self.pairing = Pairing(boot_time_s, place, north + v_north * passed_s, east + v_east * passed_s)
 
     def _on_attitude(self, message: Attitude, now_s: float) -> None:
         if math.isfinite(message.yaw):
@@ -476,6 +510,7 @@ class Vehicle:
             dialect.MAVLINK_MSG_ID_SYS_STATUS: _on_sys_status,
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _on_landed_state,
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _on_position,
+            dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _on_global_position,
             dialect.MAVLINK_MSG_ID_ATTITUDE: _on_attitude,
             dialect.MAVLINK_MSG_ID_TIMESYNC: _on_timesync,
             dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: _on_origin,

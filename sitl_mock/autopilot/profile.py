@@ -202,4 +202,5 @@ class AutopilotProfile:
     step_gain_per_s: float  # position-only approach
     sink_m_s: float  # of a pilot's mode without a pilot
     pilotless_drift_m_s: float  # horizontal, of the same
+    earth_radius_m: float  # of the sphere that its local frame is on
     position_error_m: tuple[float, float]  # origin against own start: standard deviation horizontal, vertical

@@ -24,7 +24,7 @@ from sitl_mock.host.vehicle import Vehicle
 from sitl_mock.links import DUE_SLACK_S
 from sitl_mock.messages import Outgoing
 from sitl_mock.physics.constants import Physics, load_physics
-from sitl_mock.physics.geodesy import Geodetic, World, frame_scale
+from sitl_mock.physics.geodesy import Geodetic, World
 from sitl_mock.physics.reference import Limits, Reference, Thrust
 from sitl_mock.physics.swarm import Swarm
 from sitl_mock.protocol.codec import COMPONENT, encode_rows, plain_setpoint
@@ -151,10 +151,7 @@ class Fleet:
         self.swarm = Swarm(self.physics, pads_ned_m, options.wind_m_s, wind, model)
         sigma = np.array([rules.profile.position_error_m[0]] * 2 + [rules.profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma
-        self._table = VehicleTable(pads_ned_m, noise)
-        if model is not None and model.earth_radius_m:
-            latitude_deg, _, altitude_m = options.origin_deg_m
-            self._table.scale_frames(*frame_scale(model.earth_radius_m, latitude_deg, altitude_m))
+        self._table = VehicleTable(pads_ned_m, noise, self._world, self.profile.earth_radius_m)
         self.vehicles = []
         for k, system_id in enumerate(options.system_ids):
             drift_rad = float(drifts.uniform(-np.pi, np.pi))

@@ -88,5 +88,5 @@ def load_physics() -> Physics:
         tracking=PositionLoop(**tables["tracking"]),
         ground=Ground(**tables["ground"]),
         wind=Wind(**tables["wind"]),
-        particle=FlightModel(None, None, tables["particle"], {}, {}),
+        particle=FlightModel(None, tables["particle"], {}, {}),
     )

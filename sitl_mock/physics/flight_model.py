@@ -2,7 +2,6 @@
 
 ```toml
 law = "direct"                # setpoints straight into P and PID; "shaped": jerk-limited shaping first
-earth_radius_m = 6371000.0    # of the sphere that the local frame is on (`geodesy.frame_scale`)
 [model]                       # one key a column of `records.MODEL`; vectors as [north, east, down]
 [spread]                      # standard deviation of a column from vehicle to vehicle, as a share of it
 [parameters]                  # which autopilot parameter sets which column: NAME = { column, scale }
@@ -32,14 +31,12 @@ class FlightModel:
 
     Attributes:
         law: one of `LAWS`; None: the paper's particle.
-        earth_radius_m: of the sphere that the autopilot's local frame is on; None: the world's tangent plane.
         values: columns of `records.MODEL`, SI units; absent ones are 0.
         spread: standard deviation from vehicle to vehicle, as a share of the value.
         parameters: by the name of an autopilot's parameter, the column that it sets and the factor to SI units.
     """
 
     law: str | None
-    earth_radius_m: float | None
     values: Mapping[str, float | tuple[float, ...]]
     spread: Mapping[str, float]
     parameters: Mapping[str, tuple[str, float]]
@@ -90,4 +87,4 @@ def read_flight_model(text: str) -> FlightModel:
     tables: Mapping[str, Any] = tomllib.loads(text)
     values = {key: tuple(value) if isinstance(value, list) else value for key, value in tables["model"].items()}
     parameters = {name: (entry["column"], entry["scale"]) for name, entry in tables["parameters"].items()}
-    return FlightModel(tables["law"], tables["earth_radius_m"], values, tables["spread"], parameters)
+    return FlightModel(tables["law"], values, tables["spread"], parameters)

@@ -51,17 +51,13 @@ def _geodetic(x_m: float, y_m: float, z_m: float) -> Geodetic:
     return Geodetic(math.degrees(latitude), math.degrees(math.atan2(y_m, x_m)), height_m)
 
 
-def frame_scale(radius_m: float, latitude_deg: float, altitude_m: float) -> tuple[float, float]:
-    """How long an autopilot's local frame shows a true metre, northwards and eastwards.
-
-    An autopilot takes the Earth for a sphere of `radius_m` (ArduPilot 6378.1 km, PX4 6371 km): its local north is that
-    times a difference of latitudes, its east that times a difference of longitudes and the cosine of the latitude. True
-    lengths go by WGS84's radii of curvature, in the meridian M and across it N: the scales are R/M and R/N.
-    """
-    shape = 1.0 - ECCENTRICITY2 * math.sin(math.radians(latitude_deg)) ** 2
-    across_m = SEMI_MAJOR_M / math.sqrt(shape)
-    meridian_m = across_m * (1.0 - ECCENTRICITY2) / shape
-    return radius_m / (meridian_m + altitude_m), radius_m / (across_m + altitude_m)
+def _axes(point: Geodetic) -> Array:
+    """North, east and down at a point, the rows of (3, 3), in Earth-centred coordinates."""
+    latitude, longitude = math.radians(point.latitude_deg), math.radians(point.longitude_deg)
+    sin_b, cos_b, sin_l, cos_l = math.sin(latitude), math.cos(latitude), math.sin(longitude), math.cos(longitude)
+    return np.array(
+        [[-sin_b * cos_l, -sin_b * sin_l, cos_b], [-sin_l, cos_l, 0.0], [-cos_b * cos_l, -cos_b * sin_l, -sin_b]]
+    )
 
 
 class World:
@@ -106,6 +102,22 @@ class World:
         sin, cos = np.sin(latitude), np.cos(latitude)
         height_m = across_m * cos + z_m * sin - SEMI_MAJOR_M * np.sqrt(1.0 - ECCENTRICITY2 * sin**2)
         return np.stack((np.degrees(latitude), np.degrees(np.arctan2(y_m, x_m)), height_m), axis=1)
+
+    def local_axes(self, radius_m: float, north_m: float, east_m: float, down_m: float) -> Array:
+        """How an autopilot's local frame shows true metres, at a place: local N, E (rows) per N, E of the world (2, 2).
+
+        An autopilot takes the Earth for a sphere of `radius_m` (ArduPilot 6378.1 km, PX4 6371 km): its local north is
+        that times a difference of latitudes, its east that times a difference of longitudes and the cosine of the
+        latitude. True lengths go by WGS84's radii of curvature, in the meridian M and across it N: the scales are R/M
+        and R/N. Meridians converge, so that a local north at another longitude is turned.
+        """
+        here = self.geodetic(north_m, east_m, down_m)
+        shape = 1.0 - ECCENTRICITY2 * math.sin(math.radians(here.latitude_deg)) ** 2
+        across_m = SEMI_MAJOR_M / math.sqrt(shape)
+        meridian_m = across_m * (1.0 - ECCENTRICITY2) / shape
+        scales = np.array([[radius_m / (meridian_m + here.altitude_m)], [radius_m / (across_m + here.altitude_m)]])
+        turned: Array = scales * (_axes(here) @ _axes(self.origin).T)[:2, :2]
+        return turned
 
     def ned_m(self, point: Geodetic) -> tuple[float, float, float]:
         """NED metres from the origin to a point."""

@@ -6,8 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fg_gcs.core.frames import (
+    EquidistantGlobe,
+    EquirectangularGlobe,
     Geodetic,
-    LocalFrame,
+    Globe,
+    LocalFrames,
+    Seen,
     enu_from_geodetic,
     geodetic_from_enu,
     rotate_ned_enu,
@@ -18,13 +22,54 @@ from fg_gcs.core.frames import (
 
 metres = st.floats(-1e5, 1e5)
 vectors = st.tuples(metres, metres, metres)
+nearby = st.floats(-700.0, 700.0)
+spread = st.tuples(st.floats(-70.0, 70.0), st.floats(-70.0, 70.0), st.floats(-10.0, 50.0))
 places = st.builds(Geodetic, st.floats(-80, 80), st.floats(-180, 180), st.floats(-100, 5000))
 
 
+GLOBES: list[Globe] = [EquirectangularGlobe(6_378_100.0), EquidistantGlobe(6_371_000.0)]
+
+
+@given(st.sampled_from(GLOBES), st.floats(-70.0, 70.0), st.tuples(nearby, nearby), st.tuples(nearby, nearby), spread)
+def test_frames_are_those_of_their_globes_where_vehicles_fly_together(
+    globe: Globe,
+    latitude_deg: float,
+    start: tuple[float, float],
+    around: tuple[float, float],
+    by: tuple[float, float, float],
+) -> None:
+    """A vehicle that starts up to a kilometre away is right to a centimetre, 100 m around where frames are joined."""
+    origin = Geodetic(latitude_deg, 179.999, 488.0)
+    own, around_enu_m = geodetic_from_enu(np.array([*start, 0.0]), origin), np.array([*around, 10.0])
+    frames = LocalFrames.joined([Seen(globe, own, 0.25)], origin, around_enu_m)
+    place = around_enu_m + by
+    north, east = globe.local_m(geodetic_from_enu(place, origin), own)
+    found = frames.one_enu_m(0, (north, east, 0.25 - place[2]))
+    assert found == pytest.approx(place, abs=0.01)
+    assert frames.enu_m(np.array([[east, north, place[2] - 0.25]]))[0] == pytest.approx(found, abs=1e-9)
+    flat = place[:2] - frames.origins_enu_m[0, :2]
+    assert frames.inverse[0] @ flat == pytest.approx([east, north], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("globe", "north_percent", "east_percent"), [(GLOBES[0], 0.12, -0.19), (GLOBES[1], 0.01, -0.30)]
+)
+def test_frames_on_spheres_are_as_long_as_measured(globe: Globe, north_percent: float, east_percent: float) -> None:
+    """Latitude 47, two digits: ArduPilot and PX4, see docs/autopilots."""
+    origin = Geodetic(47.397742, 8.545594, 488.0)
+    north, _ = globe.local_m(geodetic_from_enu(np.array([0.0, 100.0, 0.0]), origin), origin)
+    _, east = globe.local_m(geodetic_from_enu(np.array([100.0, 0.0, 0.0]), origin), origin)
+    assert north - 100.0 == pytest.approx(north_percent, abs=0.0075)
+    assert east - 100.0 == pytest.approx(east_percent, abs=0.0075)
+
+
 @given(vectors, vectors)
-def test_local_frames_there_and_back(origin: tuple[float, float, float], point: tuple[float, float, float]) -> None:
-    frame = LocalFrame(origin)
-    assert frame.ned_from_enu(frame.enu_from_ned(point)) == pytest.approx(point, abs=1e-9)
+def test_frames_that_are_moved_and_parallel_ones(
+    origin: tuple[float, float, float], by: tuple[float, float, float]
+) -> None:
+    frames = LocalFrames.parallel(np.array([origin, origin])).moved(1, np.array(by))
+    assert frames.one_enu_m(0, (1.0, 2.0, 3.0)) == pytest.approx(np.add(origin, (2.0, 1.0, -3.0)))
+    assert frames.one_enu_m(1, (1.0, 2.0, 3.0)) == pytest.approx(np.add(np.add(origin, by), (2.0, 1.0, -3.0)))
 
 
 @given(vectors)
@@ -34,7 +79,7 @@ def test_scalar_and_array_rotations_agree_and_undo_themselves(vector: tuple[floa
 
 
 def test_north_east_down_by_name() -> None:
-    east_north_up = LocalFrame((100.0, 200.0, 5.0)).enu_from_ned((1.0, 2.0, 3.0))
+    east_north_up = LocalFrames.parallel(np.array([[100.0, 200.0, 5.0]])).one_enu_m(0, (1.0, 2.0, 3.0))
     assert east_north_up == (102.0, 201.0, 2.0)
 
 

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.core.arrays import Array
-from fg_gcs.core.frames import swap_ned_enu
+from fg_gcs.core.frames import LocalFrames, swap_ned_enu
 from fg_gcs.flight.located import MOST_CARRIED_S, located
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import PX4
@@ -76,7 +76,7 @@ def test_late_lossy_disordered_telemetry_bends_nothing(seed: int, rate_hz: float
             vehicle.timing.answered(round(1e9 * (true_s - booted_s[kind + 2])), int((at_s - 0.2) / 0.5) + 1, at_s)
             vehicle.timing.roll(at_s)
         else:
-            found = located(states, np.zeros((2, 3)), at_s, ACCELERATION_M_S2)
+            found = located(states, LocalFrames.parallel(np.zeros((2, 3))), at_s, ACCELERATION_M_S2)
             wanted = swap_ned_enu(np.array([truth(row, at_s)[0] for row in (0, 1)]))
             error_m = np.linalg.norm(found.position_enu_m - wanted, axis=1)
             assert (error_m < found.sigma_m).all()
@@ -106,13 +106,13 @@ def test_a_motion_at_constant_acceleration_is_carried_on_exactly() -> None:
         states.set_measured(0, v_north, v_east, v_down, time_s)
     for ahead_s in (0.0, 0.1, 0.4):
         now_s = 39 / 25.0 + ahead_s
-        found = located(states, np.array([[1.0, 2.0, 3.0]]), now_s)
+        found = located(states, LocalFrames.parallel(np.array([[1.0, 2.0, 3.0]])), now_s)
         assert found.position_enu_m[0] == pytest.approx([1.0 - now_s**2, 2.0 + 0.5 * now_s**2, 3.0 - 0.25 * now_s**2])
         assert found.age_s == pytest.approx([ahead_s])
 
 
 def test_what_was_never_heard_is_nowhere_and_infinitely_old() -> None:
-    found = located(StateTable(3), np.zeros((3, 3)), 5.0)
+    found = located(StateTable(3), LocalFrames.parallel(np.zeros((3, 3))), 5.0)
     assert np.isnan(found.position_enu_m).all()
     assert np.isinf(found.age_s).all()
 
@@ -120,7 +120,7 @@ def test_what_was_never_heard_is_nowhere_and_infinitely_old() -> None:
 def test_before_the_stamps_are_known_the_arrival_stands_for_them() -> None:
     states = StateTable(1)
     states.set_motion(0, 1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 77.0, 5.0)
-    found = located(states, np.zeros((1, 3)), 5.5)
+    found = located(states, LocalFrames.parallel(np.zeros((1, 3))), 5.5)
     assert found.age_s.tolist() == [0.5]
     assert found.position_enu_m.tolist() == [[2.5, 1.0, -3.0]]
 
@@ -128,7 +128,7 @@ def test_before_the_stamps_are_known_the_arrival_stands_for_them() -> None:
 def test_age_and_uncertainty_grow_and_what_is_old_stands_still() -> None:
     states = table((3.0, 4.0, 0.0), 0.0)
     times = np.linspace(0.0, 6.0, 61)
-    found = [located(states, np.zeros((1, 3)), time_s) for time_s in times]
+    found = [located(states, LocalFrames.parallel(np.zeros((1, 3))), time_s) for time_s in times]
     assert [each.age_s[0] for each in found] == pytest.approx(times)
     sigmas = np.array([each.sigma_m[0] for each in found])
     assert (np.diff(sigmas) > 0.0).all()

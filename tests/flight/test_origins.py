@@ -35,7 +35,7 @@ def test_a_frame_that_jumps_is_joined_anew_and_nothing_else_is(seed: int, jump: 
     draw = np.random.default_rng(seed)
     states, way = StateTable(2), np.array(jump)
     origins_m = np.zeros((2, 3))
-    watch, time_s = OriginWatch(states), 5.0
+    watch, time_s = OriginWatch((), states), 5.0
     for count in range(80):
         time_s += draw.choice([0.04, 0.05, 0.1])
         if count % 7 == 3:
@@ -57,12 +57,56 @@ def test_a_frame_that_jumps_is_joined_anew_and_nothing_else_is(seed: int, jump: 
 
 def test_an_estimate_that_stands_still_or_begins_anew_is_no_frame_that_moves() -> None:
     states = StateTable(1)
-    watch = OriginWatch(states)
+    watch = OriginWatch((), states)
     for count in range(50):
         states.set_motion(0, 1.0, 2.0, -5.0, 5.0, 0.0, 0.0, 10.0 + 0.05 * count, 0.0)
         assert watch.moved_enu_m() == {}
     states.set_motion(0, 90.0, 2.0, -5.0, 5.0, 0.0, 0.0, 1.0, 0.0)  # another boot
     assert watch.moved_enu_m() == {}
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("told", [True, False])
+def test_a_frame_that_creeps_is_joined_anew_before_anybody_is_near(autopilot: str, told: bool) -> None:
+    """By 0.4 m/s, which velocities do not show: positions on Earth do."""
+    creeps = {"kind": "origin", "rate_enu_m_s": [0.3, -0.26, 0.0], "told": told, "vehicles": [2], "stage": "gather"}
+    found = judge(Trial(parse_mission(SMALL), autopilot, faults=(creeps,)))
+    assert found.broken == []
+    assert found.result is not None
+    assert found.result.reason.startswith("vehicle 2 has a local frame that moves: it has gone 0.")
+    assert found.result.summary["vehicles_landed"] == 4
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_a_frame_that_lies_elsewhere_than_it_says_does_not_fly(autopilot: str) -> None:
+    wrong = {"kind": "origin_wrong", "offset_enu_m": [3.0, -4.0, 0.0], "vehicles": [3]}
+    found = judge(Trial(parse_mission(SMALL), autopilot, faults=(wrong,)))
+    assert found.broken == []
+    assert found.result is not None
+    assert found.result.reason.startswith(
+        "vehicle 3: its local frame lies 5.0 m from where GPS_GLOBAL_ORIGIN says, by its own positions"
+    )
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_nobody_lands_on_a_vehicle_that_started_again_in_the_air(autopilot: str) -> None:
+    """Its new frame has its zero where it did so; what it tells of its height then is far below the ground."""
+    again = {"kind": "reboot", "vehicles": [3], "stage": "gather", "at_s": 0.1}
+    dead = {"kind": "dead", "vehicles": [1], "stage": "gather", "at_s": 0.9}
+    found = judge(Trial(parse_mission(SMALL), autopilot, faults=(again, dead)))
+    assert found.broken == []
+    assert found.result is not None
+    assert found.result.summary["vehicles_landed"] in (2, 3)  # one is dead, and one may be down by itself
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+@pytest.mark.parametrize("at_s", [1.5, 3.0, 3.5])
+def test_one_that_starts_again_while_it_lands_has_not_completed_its_flight(autopilot: str, at_s: float) -> None:
+    again = {"kind": "reboot", "vehicles": [2], "stage": "land", "at_s": at_s}
+    found = judge(Trial(parse_mission(SMALL), autopilot, faults=(again,), impairments=({"loss": 0.15},)))
+    assert found.broken == []
+    assert found.result is not None
+    assert not found.result.completed
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)

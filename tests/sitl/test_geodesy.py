@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sitl_mock.physics.geodesy import Geodetic, World, frame_scale
+from sitl_mock.physics.geodesy import Geodetic, World
 
 metres = st.floats(-20_000.0, 20_000.0)
 Place = tuple[float, float, float]
@@ -59,7 +59,7 @@ def test_rows_are_the_points_one_by_one(latitude_deg: float, longitude_deg: floa
 )
 def test_frames_on_spheres_are_as_long_as_measured(radius_m: float, north_percent: float, east_percent: float) -> None:
     """Latitude 47, two digits: ArduPilot and PX4."""
-    north, east = frame_scale(radius_m, 47.397742, 488.0)
+    (north, _), (_, east) = World(Geodetic(47.397742, 8.545594, 488.0)).local_axes(radius_m, 0.0, 0.0, 0.0).tolist()
     assert 100.0 * (north - 1.0) == pytest.approx(north_percent, abs=0.0075)
     assert 100.0 * (east - 1.0) == pytest.approx(east_percent, abs=0.0075)
 
@@ -73,16 +73,24 @@ def test_frames_on_spheres_are_as_long_as_measured(radius_m: float, north_percen
 )
 def test_offsets_in_hold_are_those_measured(radius_m: float, offsets_m: tuple[float, ...], tolerance_m: float) -> None:
     """Vehicles 100, 200, 300 ... m to the east hold so far from where they were told."""
-    _, east = frame_scale(radius_m, 47.397742, 488.0)
+    east = World(Geodetic(47.397742, 8.545594, 488.0)).local_axes(radius_m, 0.0, 0.0, 0.0)[1, 1]
     for k, offset_m in enumerate(offsets_m, start=1):
         assert 100.0 * k * (1.0 / east - 1.0) == pytest.approx(offset_m, abs=tolerance_m)
 
 
-@given(st.floats(-80.0, 80.0), st.floats(0.0, 3000.0))
-def test_a_frame_s_scale_is_the_derivative_of_its_coordinates(latitude_deg: float, altitude_m: float) -> None:
+@given(st.floats(-80.0, 80.0), st.floats(0.0, 3000.0), st.floats(-2e3, 2e3), st.floats(-2e3, 2e3))
+def test_a_frame_s_axes_are_the_derivative_of_its_coordinates(
+    latitude_deg: float, altitude_m: float, north_m: float, east_m: float
+) -> None:
     world, radius_m, step_m = World(Geodetic(latitude_deg, 8.0, altitude_m)), 6371000.0, 1.0
-    north, east = frame_scale(radius_m, latitude_deg, altitude_m)
-    ahead, aside = world.geodetic(step_m, 0.0, 0.0), world.geodetic(0.0, step_m, 0.0)
-    assert radius_m * math.radians(ahead.latitude_deg - latitude_deg) / step_m == pytest.approx(north, abs=1e-6)
-    across_m = radius_m * math.radians(aside.longitude_deg - 8.0) * math.cos(math.radians(latitude_deg))
-    assert across_m / step_m == pytest.approx(east, abs=1e-6)
+    here = world.geodetic(north_m, east_m, 0.0)
+
+    def local(by_north_m: float, by_east_m: float) -> np.ndarray:
+        there = world.geodetic(north_m + by_north_m, east_m + by_east_m, 0.0)
+        north = math.radians(there.latitude_deg - here.latitude_deg)
+        east = math.radians(there.longitude_deg - here.longitude_deg) * math.cos(math.radians(here.latitude_deg))
+        return radius_m * np.array([north, east])
+
+    derivative = np.stack([local(step_m, 0.0) - local(-step_m, 0.0), local(0.0, step_m) - local(0.0, -step_m)], axis=1)
+    axes = world.local_axes(radius_m, north_m, east_m, 0.0)
+    np.testing.assert_allclose(axes, derivative / (2.0 * step_m), atol=1e-6)

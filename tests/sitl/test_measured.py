@@ -398,7 +398,7 @@ def test_a_seed_is_a_flight_and_vehicles_do_not_disturb_each_other(autopilot: st
 def test_vehicles_differ_a_little(autopilot: str) -> None:
     """Told the same, they arrive by a few per cent earlier or later."""
     model = profiles.flight_model(autopilot)
-    same = FlightModel(model.law, model.earth_radius_m, quiet(model).values, model.spread, model.parameters)
+    same = FlightModel(model.law, quiet(model).values, model.spread, model.parameters)
     swarm = Swarm(PHYSICS, np.tile(HIGH, (30, 1)), 0.0, np.random.default_rng(3), same)
     for row in range(30):
         command(swarm, row, autopilot, Reference((40.0, 0.0, -10.0), position_used=ALL, yaw_rad=0.0))
@@ -445,8 +445,8 @@ def test_every_step_obeys_the_discrete_dynamics(autopilot: str) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ('law = "wild"\nearth_radius_m = 1.0\n[model]\n[spread]\n[parameters]', "lacks"),
-        ('law = "direct"\nearth_radius_m = 1.0\n[model]\nwings = 2.0\n[spread]\n[parameters]', "no wings"),
+        ('law = "wild"\n[model]\n[spread]\n[parameters]', "lacks"),
+        ('law = "direct"\n[model]\nwings = 2.0\n[spread]\n[parameters]', "no wings"),
     ],
 )
 def test_a_flight_model_says_what_is_wrong(text: str, complaint: str) -> None:

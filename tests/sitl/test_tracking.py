@@ -57,13 +57,15 @@ def fly_line(station: Station, ramp: Ramp, rate_hz: float, mask: int) -> tuple[S
     # The switches fall between setpoints, as they do in a real plan.
     begin_s = station.now_s + 0.513
     errors, accelerations = [], []
+    table = station.autopilot.table
 
     def each(now_s: float) -> None:
         s, v, a = ramp.at(now_s - begin_s)
         if station.tick % round(100 / rate_hz) == 0:
             station.setpoint(start + s * direction, v * direction, a * direction, mask=mask)
         position_m, _ = station.fleet.swarm.at(now_s)
-        errors.append(float(np.linalg.norm(position_m[0] - start - s * direction)))
+        local_m = table.local_m(0, position_m[0]) - table.local_m(0, np.zeros(3))  # metres of its own, on a sphere
+        errors.append(float(np.linalg.norm(local_m - start - s * direction)))
         accelerations.append(float(np.linalg.norm(station.fleet.swarm.acceleration_m_s2[0])))
 
     station.run(18.0, each, rate_hz=100.0)
@@ -85,7 +87,7 @@ def test_bang_bang_reference_is_flown_within_a_tenth_of_a_metre(autopilot: str, 
     ("autopilot", "mask", "low_m", "high_m"),
     [
         # Largest lag at 5 m/s, measured: PX4 5.1-6.6 m and 0-1.3 m (ramps 2.9), ArduPilot 9.8 m and 0.04 m (ramps 2.1)
-        ("px4", USE_POSITION, 5.0, 8.0),
+        ("px4", USE_POSITION, 5.0, 8.1),  # in its own metres, which are 0.3 % shorter than those it was written with
         ("px4", USE_POSITION_VELOCITY, 0.3, 3.0),
         ("ardupilot", USE_POSITION, 7.0, 11.0),
         ("ardupilot", USE_POSITION_VELOCITY, 0.3, 3.0),

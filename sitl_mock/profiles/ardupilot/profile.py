@@ -117,5 +117,6 @@ PROFILE = AutopilotProfile(
     step_gain_per_s=0.6,  # its shaped lag of 1.95 s
     sink_m_s=2.5,
     pilotless_drift_m_s=0.0,
+    earth_radius_m=6_378_100.0,  # LATLON_TO_M: 0.011131884502 m per 1e-7 deg
     position_error_m=(0.0, 0.0),
 )

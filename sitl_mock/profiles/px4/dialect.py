@@ -171,7 +171,8 @@ def _position_target(scene: Scene, rows: Rows) -> NDArray[np.void]:
     acceleration_m_s2 = commands.acceleration_m_s2[rows]
     velocity_m_s = commands.velocity_m_s[rows] + acceleration_m_s2 * run_s
     moved_m = (commands.velocity_m_s[rows] + 0.5 * acceleration_m_s2 * run_s) * run_s
-    position_m = scene.table.local_m(rows, commands.position_m[rows] + moved_m)
+    most = np.finfo(np.float32).max
+    position_m = np.clip(scene.table.local_m(rows, commands.position_m[rows] + moved_m), -most, most)
     flying = commands.flying[rows]
     placed = commands.position_used[rows].all(axis=1) & flying
     on_ground = (math.nan, math.nan, 100.0)  # of acceleration: measured

@@ -158,5 +158,6 @@ PROFILE = AutopilotProfile(
     step_gain_per_s=0.95,  # MPC_XY_P
     sink_m_s=0.7,
     pilotless_drift_m_s=0.14,  # POSCTL: 1.4 m in 10 s
+    earth_radius_m=6_371_000.0,  # CONSTANTS_RADIUS_OF_EARTH
     position_error_m=(0.15, 0.35),
 )
