@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -101,7 +99,6 @@ class Seen(NamedTuple):
     zero_up_m: float
 
 
-@dataclass(frozen=True, eq=False)
 class LocalFrames:
     """The own NED frames of V vehicles, seen from the mission's origin.
 
@@ -113,10 +110,14 @@ class LocalFrames:
         origins_enu_m: Where they read (0, 0, 0), shape (V, 3) [m; ENU].
         axes: Metres eastwards and northwards (rows) per local metre eastwards and northwards (columns), shape
             (V, 2, 2).
+        inverse: Local metres per metre, likewise.
+        rows: Each vehicle's origin and axes as plain numbers: x, y, z, and the axes row by row.
     """
 
-    origins_enu_m: Array
-    axes: Array
+    def __init__(self, origins_enu_m: Array, axes: Array) -> None:
+        self.origins_enu_m, self.axes = origins_enu_m, axes
+        self.inverse: Array = np.linalg.inv(axes).astype(float)
+        self.rows: list[list[float]] = np.column_stack((origins_enu_m, axes.reshape(-1, 4))).tolist()
 
     @classmethod
     def joined(cls, frames: Sequence[Seen], origin: Geodetic, around_enu_m: Array) -> LocalFrames:
@@ -141,18 +142,6 @@ class LocalFrames:
     def parallel(cls, origins_enu_m: Array) -> LocalFrames:
         """Return frames that are the mission's but for their origins, shape (V, 3) [m; ENU]."""
         return cls(np.asarray(origins_enu_m, dtype=float), np.tile(np.eye(2), (len(origins_enu_m), 1, 1)))
-
-    @cached_property
-    def inverse(self) -> Array:
-        """Local metres eastwards and northwards (rows) per metre eastwards and northwards (columns), (V, 2, 2)."""
-        found: Array = np.linalg.inv(self.axes).astype(float)
-        return found
-
-    @cached_property
-    def rows(self) -> list[list[float]]:
-        """Each vehicle's origin and axes as plain numbers: x, y, z, and the axes row by row."""
-        numbers: list[list[float]] = np.column_stack((self.origins_enu_m, self.axes.reshape(-1, 4))).tolist()
-        return numbers
 
     def enu_m(self, local_enu_m: Array) -> Array:
         """Return mission positions of local ones whose axes are swapped already, shape (V, 3) each [m; ENU]."""

@@ -13,6 +13,7 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.errors import FgError, MissionError, PlanError, VehicleError
+from fg_gcs.flight.compensation import Compensation
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.custody import Custody
 from fg_gcs.flight.descents import Descents
@@ -346,6 +347,8 @@ class Director:
         custody = self._custody = Custody(fleet, tops_enu_m * (1.0, 1.0, 0.0), self.journal.time)
         gate = Gate(fleet, task.rules, lambda: custody.kept_clear)
         streamer = Streamer(fleet, self.journal.recorder, self.mission.stream.rate_hz, gate)
+        if self.mission.stream.compensation:
+            streamer.compensation = Compensation(fleet, gate)
         context = Context(fleet, self.mission, task, tops_enu_m, streamer, custody, self.journal)
         descents = Descents(fleet, streamer, custody, self.journal, self.mission.faults.taken_wait_s)
         if self.mission.targets is not None:
@@ -370,6 +373,9 @@ class Director:
         home = FaultKind.PROGRAM
         supervisor.start(Duty("watch", watch.run, lambda: watch.turned_s, WATCH_DOG_S, home, home))
         supervisor.start(Duty("descents", descents.run, lambda: descents.turned_s, WATCH_DOG_S, home, home))
+        learns = streamer.compensation
+        if learns is not None:
+            supervisor.start(bystander("compensation", learns.run, lambda: learns.turned_s, BYSTANDER_DOG_S))
         follower = self.target_follower
         if follower is not None:
             planner = FaultKind.PLANNER

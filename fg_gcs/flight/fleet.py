@@ -168,8 +168,8 @@ class Fleet:
         row = self.row_of.get(vehicle.address)
         if row is None or self.frames is None:
             return None
-        north, east, down, v_north, v_east, v_down, boot_time_s, _, _, _, ground_down, yaw_rad = self.states.numbers(
-            row
+        north, east, down, v_north, v_east, v_down, boot_time_s, _, _, _, ground_down, yaw_rad, *_ = (
+            self.states.numbers(row)
         )
         if math.isnan(north):
             return None

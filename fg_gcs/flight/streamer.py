@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import LocalFrames, swap_ned_enu
 from fg_gcs.core.mending import BRAKED, CHANGED
+from fg_gcs.flight.compensation import Compensation
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.gate import Change, Gate
 from fg_gcs.flight.motions import Braking, Motion, SwarmSetpoint
@@ -80,6 +81,7 @@ class Streamer:
         gated: called with vehicles whose setpoints have not passed the gate for a while; the motion is dropped, and all
             come to rest from what left last.
         gate: what setpoints pass last.
+        compensation: what vehicles are told beyond that so that they keep to it; None: nothing.
         period_s: between two rounds [s].
         turned_s: the loop's time of the newest sign of life [s].
     """
@@ -93,6 +95,7 @@ class Streamer:
         self.stalled: Callable[[float], None] | None = None
         self.gated: Callable[[tuple[VehicleAddress, ...]], None] | None = None
         self.gate = gate
+        self.compensation: Compensation | None = None
         self._fleet = fleet
         self._recorder = recorder
         self.period_s = 1.0 / rate_hz
@@ -186,7 +189,8 @@ class Streamer:
         passed = self.gate.passed(rows, enu, now_s)
         if len(passed.rows) < len(rows):
             own = _Own.of(moved.frames, passed.rows)
-        numbers = passed.numbers.take(_ENU_TO_NED, axis=1)
+        sent = passed.numbers if self.compensation is None else self.compensation.applied(passed.rows, passed.numbers)
+        numbers = sent.take(_ENU_TO_NED, axis=1)
         numbers *= _NED_SIGNS
         own.take_in(numbers)
         going = self._going_to(passed.rows)

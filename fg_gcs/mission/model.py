@@ -317,6 +317,10 @@ class StreamTable(MissionTable):
         le=200,
         description="a number from 20 to 200, setpoints a second to each vehicle (default 50)",
     )
+    compensation: bool = Field(
+        default=True,
+        description="true or false: whether setpoints are sent ahead of what vehicles were seen to lag (default true)",
+    )
 
 
 class SimulatorTable(MissionTable):

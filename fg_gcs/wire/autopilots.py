@@ -144,6 +144,8 @@ class AutopilotProfile:
         take_off: How it leaves the ground.
         lands_by_command: NAV_LAND lands it; otherwise the mode does.
         encoding: How integer parameters travel.
+        drag_is_compensated: Whether its acceleration setpoints may have the drag on top: they go straight to its
+            thrust, and not into the motion of a target that it shapes.
         globe: How its local frame is laid over the Earth.
         limits: Where its limits of flight are stored.
         failsafes: What to check before arming.
@@ -164,6 +166,7 @@ class AutopilotProfile:
     take_off: TakeOff
     lands_by_command: bool
     encoding: Encoding
+    drag_is_compensated: bool
     globe: Globe
     limits: tuple[LimitParameter, ...]
     failsafes: tuple[FailsafeParameter, ...]
@@ -261,6 +264,7 @@ PX4: Final = AutopilotProfile(
     take_off=TakeOff.BY_SETPOINT,
     lands_by_command=True,
     encoding=Encoding.BYTEWISE,
+    drag_is_compensated=True,
     globe=EquidistantGlobe(6_371_000.0),
     limits=(
         _limit("speed_m_s", MPC_XY_VEL_MAX=1.0),
@@ -316,6 +320,7 @@ ARDUPILOT: Final = AutopilotProfile(
     take_off=TakeOff.BY_COMMAND,
     lands_by_command=False,
     encoding=Encoding.CAST,
+    drag_is_compensated=False,
     globe=EquirectangularGlobe(6_378_100.0),
     limits=(  # newer firmware than the measured one renamed them and went from centimetres to metres
         _limit("speed_m_s", WPNAV_SPEED=0.01, WP_SPD=1.0),

@@ -16,15 +16,16 @@ _LAYOUT: Final = np.dtype(
         ("position_at_s", "<f8"),
         ("ground_ned_m", "<f8", (3,)),
         ("yaw_rad", "<f8"),
+        ("lean_rad", "<f8", (2,)),
     ]
 )
-_ALL: Final = Struct("<12d")
+_ALL: Final = Struct("<14d")
 _MOTION: Final = Struct("<8d")
 _GROUND: Final = Struct("<3d")
-_YAW: Final = Struct("<d")
+_ATTITUDE: Final = Struct("<3d")
 _VELOCITY: Final = Struct("<4d")  # and when it was measured
 _GROUND_OFFSET: Final = _MOTION.size
-_YAW_OFFSET: Final = _MOTION.size + _GROUND.size
+_ATTITUDE_OFFSET: Final = _MOTION.size + _GROUND.size
 VELOCITIES_S: Final = 0.15  # between velocities that are kept: a change over so long is more than their noise
 # Numbers go in and out as bytes: NumPy takes ten times as long for one cell of a row.
 
@@ -39,6 +40,7 @@ class State(NamedTuple):
         position_at_s: Our loop time when that sample came [s]; minus infinity before the first.
         ground_north_m, ground_east_m, ground_down_m: The last position while disarmed [m; NED].
         yaw_rad: Heading [rad; clockwise from north].
+        roll_rad, pitch_rad: Lean, of the same sample [rad].
     """
 
     north_m: float
@@ -53,6 +55,8 @@ class State(NamedTuple):
     ground_east_m: float
     ground_down_m: float
     yaw_rad: float
+    roll_rad: float
+    pitch_rad: float
 
 
 class StateTable:
@@ -68,6 +72,8 @@ class StateTable:
         position_at_s: Our loop time when they came, shape (V,) [s]; minus infinity before the first.
         measured_at_s: Our loop time when they were true by the vehicles' own stamps, shape (V,) [s]; minus infinity
             before the first.
+        yaw_rad: Headings, shape (V,) [rad; clockwise from north]; NaN before the first.
+        lean_rad: Rolls and pitches, of the same samples, shape (V, 2) [rad].
         earlier_ned_m_s: Velocities of `VELOCITIES_S` to twice that before, and when they were true by our loop time,
             shape (V, 4) [m/s; NED and s]; at NaN while there are none.
     """
@@ -80,6 +86,8 @@ class StateTable:
         self.velocity_ned_m_s: NDArray[np.float64] = rows["velocity_ned_m_s"]
         self.boot_time_s: NDArray[np.float64] = rows["boot_time_s"]
         self.position_at_s: NDArray[np.float64] = rows["position_at_s"]
+        self.yaw_rad: NDArray[np.float64] = rows["yaw_rad"]
+        self.lean_rad: NDArray[np.float64] = rows["lean_rad"]
         self._measured = array("d", [-math.inf] * count)
         self.measured_at_s: NDArray[np.float64] = np.frombuffer(self._measured)
         self._velocities = bytearray(
@@ -124,6 +132,6 @@ class StateTable:
         """Set where a vehicle stands: the three numbers of its ground."""
         _GROUND.pack_into(self._data, row * _ALL.size + _GROUND_OFFSET, *numbers)
 
-    def set_yaw(self, row: int, yaw_rad: float) -> None:
-        """Set a vehicle's heading [rad]."""
-        _YAW.pack_into(self._data, row * _ALL.size + _YAW_OFFSET, yaw_rad)
+    def set_attitude(self, row: int, yaw_rad: float, roll_rad: float, pitch_rad: float) -> None:
+        """Set a vehicle's heading and its lean [rad]."""
+        _ATTITUDE.pack_into(self._data, row * _ALL.size + _ATTITUDE_OFFSET, yaw_rad, roll_rad, pitch_rad)

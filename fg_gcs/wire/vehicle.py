@@ -44,7 +44,6 @@ _AIRBORNE: Final = frozenset(
     {dialect.MAV_LANDED_STATE_TAKEOFF, dialect.MAV_LANDED_STATE_IN_AIR, dialect.MAV_LANDED_STATE_LANDING}
 )
 
-_BOOTING: Final = frozenset({dialect.MAV_STATE_UNINIT, dialect.MAV_STATE_BOOT})
 _IN_FLIGHT: Final = frozenset({Phase.FLYING, Phase.LANDING, Phase.TAKEN})
 _STATES: Final = frozenset(  # what is said anew all the time: only the last word counts; positions have stamps for that
     {
@@ -415,10 +414,7 @@ class Vehicle:
 
     def _on_heartbeat(self, message: Heartbeat, now_s: float) -> None:
         self.kind = message.type
-        armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-        if self.armed and not armed and message.system_status in _BOOTING:  # it has started again with its motors on
-            self.fell = True
-        self._set_armed(now_s, armed=armed)
+        self._set_armed(now_s, armed=bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED))
         self._set_mode(message.custom_mode)
         self._apply(PhaseEvent.HEARD, now_s)
         self._judge(now_s)
@@ -467,8 +463,8 @@ class Vehicle:
             self.pairing = Pairing(boot_time_s, place, north + v_north * passed_s, east + v_east * passed_s)
 
     def _on_attitude(self, message: Attitude, now_s: float) -> None:
-        if math.isfinite(message.yaw):
-            self._states.set_yaw(self._row, message.yaw)
+        if math.isfinite(message.roll + message.pitch + message.yaw):
+            self._states.set_attitude(self._row, message.yaw, message.roll, message.pitch)
 
     def _on_timesync(self, message: Timesync, now_s: float) -> None:
         if message.tc1:  # otherwise it asks us

@@ -22,7 +22,7 @@ def test_rows_are_kept_apart_and_arrays_show_them(states: list[State], changed: 
         table[number] = state
     table.set_motion(row, *changed[:8])
     table.set_ground(row, *changed[8:11])
-    table.set_yaw(row, changed.yaw_rad)
+    table.set_attitude(row, *changed[11:14])
     wanted = [*states[:row], changed, *states[row + 1 :]]
     assert [table[number] for number in range(len(states))] == wanted
     assert [table.numbers(number) for number in range(len(states))] == [tuple(state) for state in wanted]
