@@ -21,6 +21,8 @@ examples:
   fg-gcs fly missions/demo.toml --speed max          the same in virtual time: seconds, not minutes
   fg-gcs fly missions/sitl.toml --connect udpin:127.0.0.1:14550
                                                      fly real PX4 or ArduPilot SITL vehicles
+  fg-gcs fly missions/sitl.toml --signing-key swarm.key
+                                                     nothing that is not signed with that key is sent or taken
   fg-gcs plan missions/*.toml --json                 plan without flying, one JSON line a file
   fg-gcs check missions/*.toml                       is each file a valid mission?
   fg-gcs sim --vehicles 9 --autopilot ardupilot      only the simulator, for any ground station
@@ -52,6 +54,7 @@ Vehicles are played by a small process of their own, which sends frames made bef
 RECOVER_EPILOG = """examples:
   fg-gcs recover                                     after a crash: everything that run had in the air
   fg-gcs recover --connect udpin:127.0.0.1:14550     the same where vehicles are heard elsewhere now
+  fg-gcs recover --signing-key swarm.key             the same where vehicles take only what is signed
 
 exit codes: 0 everything is down and has its own parameters, 2 the run is alive, 3 no vehicle answered,
   5 something is left to do
@@ -147,8 +150,25 @@ def _add_fly(commands: Commands) -> None:
         metavar="JSON",
         help="something that goes wrong on their links, as in [[simulator.impairments]]; repeat for more",
     )
+    _add_signing_key(fly)
+    fly.add_argument(
+        "--signing-setup",
+        action="store_true",
+        help="the vehicles do not have the key yet: give it to them, and arm nothing before each signs with it; "
+        "whoever overhears that has the key, too",
+    )
     fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
+
+
+def _add_signing_key(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--signing-key",
+        action="append",
+        metavar="[NAME=]FILE",
+        help="sign all that is sent, and take nothing that is not signed with this key (MAVLink 2): 32 bytes, 64 "
+        "hexadecimal digits or a passphrase, in a file that nobody else may read; NAME=FILE is for one network",
+    )
 
 
 def _add_plan(commands: Commands) -> None:
@@ -217,6 +237,7 @@ def _add_recover(commands: Commands) -> None:
     recover.add_argument(
         "--wait", type=_positive, default=5.0, metavar="S", help="for heartbeats (default: %(default)g s)"
     )
+    _add_signing_key(recover)
     recover.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     recover.add_argument(
         "--state", type=Path, metavar="DIR", help="where parameters are kept (default: the user's own)"
@@ -433,6 +454,8 @@ def _fly(chosen: argparse.Namespace) -> int:
         faults=_tables("--fault", chosen.fault),
         impairments=_tables("--impair", chosen.impair),
         logs=chosen.logs,
+        signing_keys=tuple(chosen.signing_key or ()),
+        signing_setup=chosen.signing_setup,
     )
     manner = Manner(chosen.speed, chosen.json)
     codes = (fly(path, options, manner) for path in chosen.missions)

@@ -31,8 +31,11 @@ def run(chosen: argparse.Namespace) -> ExitCode:
 
     Raises:
         LinkError: nobody answered, or a port is taken.
+        MissionError: a signing key cannot be had.
     """
-    options = RecoverOptions(tuple(chosen.connect or ()), chosen.wait, chosen.logs, chosen.state)
+    options = RecoverOptions(
+        tuple(chosen.connect or ()), chosen.wait, chosen.logs, chosen.state, tuple(chosen.signing_key or ())
+    )
     with asyncio.Runner(loop_factory=lambda: make_loop(1.0)) as runner:
         result = runner.run(recover(options, [_Told()]))
     _show(result)

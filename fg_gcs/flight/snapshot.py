@@ -105,6 +105,9 @@ class CounterSnapshot:
     errors: int
     late_ticks: int
     refused: int = 0
+    unsigned: int = 0  # frames not taken in a network with a key: without a signature
+    forged: int = 0  # likewise, signed with another key
+    replayed: int = 0  # likewise, with a time stamp that came before, or is too old
     gated: int = 0  # setpoints that the last gate changed, braked or held back
 
 

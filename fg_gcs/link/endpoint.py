@@ -5,7 +5,7 @@ import errno
 import re
 import socket
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -53,6 +53,11 @@ class Kind(Enum):
     UDP_IN = "udpin"
     UDP_OUT = "udpout"
     TCP = "tcp"
+
+    @property
+    def verb(self) -> str:
+        """What we do there, for people."""
+        return {Kind.UDP_IN: "listening at", Kind.UDP_OUT: "calling"}.get(self, "connecting to")
 
 
 _KINDS: Final = {"udp": Kind.UDP_IN, "udpin": Kind.UDP_IN, "udpout": Kind.UDP_OUT, "tcp": Kind.TCP}
@@ -114,6 +119,23 @@ def parse_networks(texts: Iterable[str]) -> dict[str, tuple[Endpoint, ...]]:
         (only,) = networks.values()
         return {MAIN: only}
     return networks
+
+
+def places(networks: Mapping[str, Sequence[Endpoint]]) -> str:
+    """Return what we do at endpoints to hear vehicles, for people: ``listening at A, B; connecting to C``.
+
+    With several networks each endpoint's network is told: ``listening at east: A; west: B``.
+    """
+    by_verb: dict[str, dict[str, list[str]]] = {}
+    for name, endpoints in networks.items():
+        for endpoint in endpoints:
+            by_verb.setdefault(endpoint.kind.verb, {}).setdefault(name, []).append(str(endpoint))
+    told = []
+    for verb, by_name in by_verb.items():
+        texts = {name: ", ".join(listed) for name, listed in by_name.items()}
+        named = (f"{name}: {text}" for name, text in texts.items()) if len(networks) > 1 else texts.values()
+        told.append(f"{verb} {'; '.join(named)}")
+    return "; ".join(told)
 
 
 def in_rows(frames: Frames) -> list[bytes]:

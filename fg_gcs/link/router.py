@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
+from types import MappingProxyType
 from typing import Final, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -19,8 +20,9 @@ from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import profile_of
 from fg_gcs.wire.codec import GCS_SYSTEM, Frame, Message, is_known
-from fg_gcs.wire.framing import Frames, Sender, laid_out, same_for_all
+from fg_gcs.wire.framing import Frames, Sender, as_sent, laid_out, same_for_all
 from fg_gcs.wire.messages import HEARTBEAT
+from fg_gcs.wire.signing import LINK_IDS, SETUP_SIGNING, Refusal, Signature, Signing
 from fg_gcs.wire.timing import timesync
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
@@ -65,6 +67,9 @@ class Counters(NamedTuple):
         errors: Errors the system reported for our sockets.
         refused: Datagrams that were not read, or not to their end, because their sender sends too much, and those that
             the system has dropped before.
+        unsigned: Frames not taken because they are not signed, in a network with a key.
+        forged: Frames not taken because they are signed with another key.
+        replayed: Frames not taken because their time stamp came before, or is too old.
     """
 
     frames_in: int
@@ -76,6 +81,9 @@ class Counters(NamedTuple):
     clashes: int
     errors: int
     refused: int
+    unsigned: int
+    forged: int
+    replayed: int
 
     @classmethod
     def none(cls) -> Self:
@@ -119,12 +127,12 @@ class Routes:
     Attributes:
         peers: Where they lead.
         senders: What numbers the frames to each of them; for `fg_gcs.wire.setpoint.SetpointRound`.
-        rounds: For each wire the vehicles' places among the addresses (None: all of them), and what sends to them.
+        rounds: One for each wire.
     """
 
     peers: Sequence[Peer]
     senders: list[Sender]
-    rounds: Sequence[tuple[NDArray[np.int_] | None, Callable[[Frames], None]]]
+    rounds: Sequence["_Round"]
 
     @classmethod
     def of(cls, peers: Sequence[Peer]) -> Self:
@@ -132,11 +140,31 @@ class Routes:
         by_wire: dict[Wire, list[int]] = {}
         for place, peer in enumerate(peers):
             by_wire.setdefault(peer.wire, []).append(place)
+        senders = [peer.sender for peer in peers]
+        signed = {sender.signature is not None for sender in senders}
         rounds = [
-            (None if len(by_wire) == 1 else np.array(places), wire.round_to([peers[place].address for place in places]))
+            _Round(
+                None if len(by_wire) == 1 else np.array(places),
+                len(signed) > 1 and senders[places[0]].signature is None,
+                wire.round_to([peers[place].address for place in places]),
+            )
             for wire, places in by_wire.items()
         ]
-        return cls(peers, [peer.sender for peer in peers], rounds)
+        return cls(peers, senders, rounds)
+
+
+class _Round(NamedTuple):
+    """What leaves at one wire.
+
+    Attributes:
+        places: Those of its vehicles among all addresses; None: all of them.
+        is_shorter: Its frames are not signed while others of the round are.
+        send: What sends to them.
+    """
+
+    places: NDArray[np.int_] | None
+    is_shorter: bool
+    send: Callable[[Frames], None]
 
 
 class _Called(NamedTuple):
@@ -160,14 +188,23 @@ class Router:
         notices: Lines for people, such as a lost connection, or two vehicles with one address (said once).
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, on_frame: OnFrame | None, tap: Tap | None) -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        on_frame: OnFrame | None,
+        tap: Tap | None,
+        signing: Mapping[str, Signing] = MappingProxyType({}),
+        signatures: Mapping[Endpoint, Signature] = MappingProxyType({}),
+    ) -> None:
         self.vehicles: dict[VehicleAddress, Vehicle] = {}
         self.notices: deque[str] = deque(maxlen=64)
         self.turned_s = -math.inf
         self._on_frame = on_frame
         self._tap = tap
         self._wires: list[Wire] = []
-        self._peers = Peers()
+        self._signing = signing
+        self._peers = Peers(signatures)
+        self._not_taken: set[tuple[str, Refusal]] = set()  # of which people know
         self._known = self._peers.known
         self._asked = _Called((), ())  # for their time, by whoever uses this
         self._unfinished: deque[Peer] = deque()  # those of whose bytes some wait to be read on
@@ -184,7 +221,12 @@ class Router:
 
     @classmethod
     async def open(
-        cls, networks: Mapping[str, Iterable[Endpoint]], *, on_frame: OnFrame | None = None, tap: Tap | None = None
+        cls,
+        networks: Mapping[str, Iterable[Endpoint]],
+        *,
+        on_frame: OnFrame | None = None,
+        tap: Tap | None = None,
+        signing: Mapping[str, Signing] = MappingProxyType({}),
     ) -> Self:
         """Open all endpoints of all networks.
 
@@ -192,19 +234,28 @@ class Router:
             networks: Where vehicles are to be found, by the name of the network.
             on_frame: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
             tap: Gets all frames of both directions, unknown ones included, together those that pass together, with the
-                loop time [s]: the recorder.
+                loop time [s]: the recorder. A message that gives a vehicle a key is not among them.
+            signing: What signs and judges the frames of a network, by its name; none: they are not signed, and whatever
+                comes there is taken.
 
         Raises:
             LinkError: A port is taken, or a connection is refused; nothing stays open.
         """
-        router = cls(asyncio.get_running_loop(), on_frame, tap)
+        all_endpoints = {name: tuple(endpoints) for name, endpoints in networks.items()}
+        places = ((name, endpoint) for name, endpoints in all_endpoints.items() for endpoint in endpoints)
+        signatures = {
+            endpoint: signing[name].signature(number % LINK_IDS)
+            for number, (name, endpoint) in enumerate(places)
+            if name in signing
+        }
+        router = cls(asyncio.get_running_loop(), on_frame, tap, signing, signatures)
         try:
-            for network, endpoints in networks.items():
+            for network, endpoints in all_endpoints.items():
                 for endpoint in endpoints:
                     wire = await open_wire(endpoint, partial(router._receive, network), router._changed)
                     router._wires.append(wire)
                     if wire.remote is not None:
-                        router._peers.settle(Peer(network, wire, wire.remote))
+                        router._peers.settle(router._peers.new(network, wire, wire.remote))
         except BaseException:
             router.close()
             raise
@@ -223,6 +274,9 @@ class Router:
             clashes=self._clashes,
             errors=sum(wire.errors for wire in self._wires),
             refused=self._refused + sum(wire.unread for wire in self._wires),
+            unsigned=self._count_not_taken(Refusal.UNSIGNED),
+            forged=self._count_not_taken(Refusal.FORGED),
+            replayed=self._count_not_taken(Refusal.REPLAYED),
         )
 
     @property
@@ -258,19 +312,25 @@ class Router:
             routes: The ways to the vehicles, see `routes`.
             frames: Packed by the routes' senders, shape (V, size).
         """
-        for places, send in routes.rounds:
-            send(frames if places is None else frames[places])
+        for places, is_shorter, send in routes.rounds:
+            own = frames if places is None else frames[places]
+            own = as_sent(own) if is_shorter else own
+            send(own)
+            if self._tap is not None and len(own):
+                self._tap(Direction.OUT, own, self._time())
         self._frames_out += len(frames)
-        if self._tap is not None and len(frames):
-            self._tap(Direction.OUT, frames, self._time())
 
     def send_message(self, address: VehicleAddress, message: Message) -> None:
         """Pack a message and send it to one vehicle."""
         peer = self._routes.get(address)
         if peer is None:
             self._unroutable += 1
-        else:
-            self._send(peer, peer.sender.pack(message))
+            return
+        data = peer.sender.pack(message)
+        peer.wire.send(data, peer.address)
+        self._frames_out += 1
+        if self._tap is not None and message.get_msgId() != SETUP_SIGNING:  # a key stays with who has it
+            self._tap(Direction.OUT, (data,), self._time())
 
     async def keep_alive(self, period_s: float = KEEP_ALIVE_S) -> None:
         """Send heartbeats, ask for the time and notice silent vehicles, for ever: run it as a task.
@@ -322,12 +382,6 @@ class Router:
         self._unfinished.clear()
         for wire in self._wires:
             wire.close()
-
-    def _send(self, peer: Peer, data: bytes) -> None:
-        peer.wire.send(data, peer.address)
-        self._frames_out += 1
-        if self._tap is not None:
-            self._tap(Direction.OUT, (data,), self._time())
 
     def _ask_for_time(self, routes: Routes) -> None:
         now_s = self._time()
@@ -450,7 +504,25 @@ class Router:
             self._refusal_told = True
             self.notices.append(f"too much comes from strangers such as {peer.name}: only heartbeats are read of it")
 
+    def _count_not_taken(self, refusal: Refusal) -> int:
+        return sum(signing.counts[refusal] for signing in self._signing.values())
+
+    def _judged(self, signing: Signing, peer: Peer, frames: list[Frame]) -> list[Frame]:
+        """Return the frames that are signed as they should be; tell people of others, once of each kind."""
+        good = []
+        for frame in frames:
+            refusal = signing.refusal(frame)
+            if refusal is None:
+                good.append(frame)
+            elif (peer.network, refusal) not in self._not_taken:
+                self._not_taken.add((peer.network, refusal))
+                self.notices.append(f"what comes from {peer.name} is {refusal.value}: it is not taken")
+        return good
+
     def _take(self, peer: Peer, frames: list[Frame], now_s: float) -> None:
+        signing = self._signing.get(peer.network)
+        if signing is not None:
+            frames = self._judged(signing, peer, frames)
         if self._tap is not None and frames:
             self._tap(Direction.IN, [frame.raw for frame in frames], now_s)
         for frame in frames:
