@@ -21,6 +21,9 @@ examples:
   fg-gcs fly missions/demo.toml --speed max          the same in virtual time: seconds, not minutes
   fg-gcs fly missions/sitl.toml --connect udpin:127.0.0.1:14550
                                                      fly real PX4 or ArduPilot SITL vehicles
+  fg-gcs fly missions/sitl.toml --px4 9              nine PX4 SITL instances, at the ports that they have
+  fg-gcs fly missions/sitl.toml --ardupilot 6 --connect serial:/dev/ttyUSB0:57600
+                                                     six ArduPilot SITL instances, and who is behind a radio
   fg-gcs fly missions/sitl.toml --signing-key swarm.key
                                                      nothing that is not signed with that key is sent or taken
   fg-gcs plan missions/*.toml --json                 plan without flying, one JSON line a file
@@ -115,10 +118,11 @@ def _add_fly(commands: Commands) -> None:
         "--connect",
         action="append",
         metavar="[NAME=]ENDPOINT",
-        help="fly vehicles found here instead of starting the simulator: udpin:HOST:PORT, udpout:HOST:PORT or "
-        "tcp:HOST:PORT; repeat for more; NAME=ENDPOINT puts it into a network of that name, each of which has its own "
-        "system ids",
+        help="fly vehicles found here instead of starting the simulator: udpin:HOST:PORT, udpout:HOST:PORT, "
+        "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD; repeat for more, of any kind; NAME=ENDPOINT puts it "
+        "into a network of that name, each of which has its own system ids",
     )
+    _add_presets(fly)
     fly.add_argument(
         "--wait", type=_positive, default=30.0, metavar="S", help="for the first heartbeats (default: %(default)g s)"
     )
@@ -159,6 +163,30 @@ def _add_fly(commands: Commands) -> None:
     )
     fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
+
+
+def _add_presets(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--px4",
+        type=_instances,
+        default=0,
+        metavar="N",
+        help="hear N SITL instances of PX4 where they send by themselves: UDP 14540, 14541 ..., from the 10th on 14549",
+    )
+    command.add_argument(
+        "--ardupilot",
+        type=_instances,
+        default=0,
+        metavar="N",
+        help="connect to N SITL instances of ArduPilot: TCP 5760, 5770 ...",
+    )
+
+
+def _connections(chosen: argparse.Namespace) -> tuple[str, ...]:
+    """Return all endpoints that were asked for."""
+    from fg_gcs.link.endpoint import ardupilot_endpoints, px4_endpoints
+
+    return (*(chosen.connect or ()), *px4_endpoints(chosen.px4), *ardupilot_endpoints(chosen.ardupilot))
 
 
 def _add_signing_key(command: argparse.ArgumentParser) -> None:
@@ -234,6 +262,7 @@ def _add_recover(commands: Commands) -> None:
         metavar="[NAME=]ENDPOINT",
         help="where vehicles are (default: where that run had them)",
     )
+    _add_presets(recover)
     recover.add_argument(
         "--wait", type=_positive, default=5.0, metavar="S", help="for heartbeats (default: %(default)g s)"
     )
@@ -405,7 +434,7 @@ def _run(chosen: argparse.Namespace) -> int:
         case "recover":
             from fg_gcs.console import recover
 
-            return recover.run(chosen)
+            return recover.run(chosen, _connections(chosen))
         case "trial":
             from fg_gcs.console import trial
 
@@ -447,7 +476,7 @@ def _fly(chosen: argparse.Namespace) -> int:
     from fg_gcs.run.flying import FlyOptions
 
     options = FlyOptions(
-        connect=tuple(chosen.connect or ()),
+        connect=_connections(chosen),
         wait_s=chosen.wait,
         autopilot=chosen.autopilot,
         dynamics=chosen.dynamics,
@@ -480,6 +509,12 @@ def _jobs(text: str) -> int:
     if (value := _count(text)) == 0:
         raise argparse.ArgumentTypeError("0: at least one job is needed")
     return value
+
+
+def _instances(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 250:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 250")
+    return int(text)
 
 
 def _speed(text: str) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final
 
-from fg_gcs.link.endpoint import Address, Endpoint, Kind, Wire
+from fg_gcs.link.endpoint import Address, Endpoint, Wire
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.codec import Codec
 from fg_gcs.wire.framing import Sender
@@ -85,12 +85,12 @@ class Peer:
 
     def __post_init__(self) -> None:
         """Make the decoder that the wire needs."""
-        self.codec = Codec(datagrams=self.wire.endpoint.kind is not Kind.TCP)
+        self.codec = Codec(datagrams=not self.wire.endpoint.kind.is_stream)
         self.budget = TokenBucket(VEHICLE_BURST_BYTES)
 
     @property
     def name(self) -> str:
-        """Its address for people."""
+        """Its address for people; a device has a rate in place of a port."""
         host, port = self.address[:2]
         return f"{host}:{port}"
 

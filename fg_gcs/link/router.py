@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
+from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire
+from fg_gcs.link.opening import open_wire
 from fg_gcs.link.peers import MOST_WAITING, Peer, Peers
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
@@ -557,7 +558,8 @@ class Router:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
         before = self._routes[vehicle.address]
         again = before.wire is peer.wire and before.address == peer.address  # it was forgotten among strangers
-        if again or (now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT):
+        is_gone = now_s - vehicle.heard_at_s > LOST_AFTER_S or not before.wire.reaches(before.address)
+        if again or (is_gone and frame.message_id == HEARTBEAT):
             before.vehicles.pop(vehicle.system_id, None)
             if not again:
                 self._peers.settle(before)

@@ -348,7 +348,7 @@ class Mission(MissionTable):
     networks: dict[NetworkName, list[VehicleEndpoint]] | None = Field(
         default=None,
         description='a table of name = ["ENDPOINT", ...]; names of 1 to 16 of a-z, 0-9, - and _, endpoints '
-        "udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT",
+        "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD",
     )
     formation: FormationTable = Field(description="a table")
     target: TargetTable | None = Field(default=None, description="a table")
