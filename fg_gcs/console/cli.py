@@ -26,6 +26,8 @@ examples:
                                                      six ArduPilot SITL instances, and who is behind a radio
   fg-gcs fly missions/sitl.toml --signing-key swarm.key
                                                      nothing that is not signed with that key is sent or taken
+  fg-gcs fly missions/sitl.toml --px4 9 --forward udpout:127.0.0.1:14560
+                                                     whoever listens there sees every vehicle
   fg-gcs plan missions/*.toml --json                 plan without flying, one JSON line a file
   fg-gcs check missions/*.toml                       is each file a valid mission?
   fg-gcs sim --vehicles 9 --autopilot ardupilot      only the simulator, for any ground station
@@ -114,15 +116,7 @@ def _add_fly(commands: Commands) -> None:
         metavar="MISSION",
         help="mission file, see missions/README.md; several are flown one after the other until one is not completed",
     )
-    fly.add_argument(
-        "--connect",
-        action="append",
-        metavar="[NAME=]ENDPOINT",
-        help="fly vehicles found here instead of starting the simulator: udpin:HOST:PORT, udpout:HOST:PORT, "
-        "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD; repeat for more, of any kind; NAME=ENDPOINT puts it "
-        "into a network of that name, each of which has its own system ids",
-    )
-    _add_presets(fly)
+    _add_links(fly)
     fly.add_argument(
         "--wait", type=_positive, default=30.0, metavar="S", help="for the first heartbeats (default: %(default)g s)"
     )
@@ -154,6 +148,28 @@ def _add_fly(commands: Commands) -> None:
         metavar="JSON",
         help="something that goes wrong on their links, as in [[simulator.impairments]]; repeat for more",
     )
+    fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
+    fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
+
+
+def _add_links(fly: argparse.ArgumentParser) -> None:
+    """Add where vehicles are, who else sees them, and what is signed with."""
+    fly.add_argument(
+        "--connect",
+        action="append",
+        metavar="[NAME=]ENDPOINT",
+        help="fly vehicles found here instead of starting the simulator: udpin:HOST:PORT, udpout:HOST:PORT, "
+        "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD; repeat for more, of any kind; NAME=ENDPOINT puts it "
+        "into a network of that name, each of which has its own system ids",
+    )
+    _add_presets(fly)
+    fly.add_argument(
+        "--forward",
+        action="append",
+        metavar="[NAME=]ENDPOINT",
+        help="pass every vehicle's telemetry on, to QGroundControl, MAVProxy or a logger at udpout:HOST:PORT or "
+        "tcp:HOST:PORT; repeat for more; what they say to vehicles is dropped unless the mission allows it",
+    )
     _add_signing_key(fly)
     fly.add_argument(
         "--signing-setup",
@@ -161,8 +177,6 @@ def _add_fly(commands: Commands) -> None:
         help="the vehicles do not have the key yet: give it to them, and arm nothing before each signs with it; "
         "whoever overhears that has the key, too",
     )
-    fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
-    fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
 
 
 def _add_presets(command: argparse.ArgumentParser) -> None:
@@ -485,6 +499,7 @@ def _fly(chosen: argparse.Namespace) -> int:
         logs=chosen.logs,
         signing_keys=tuple(chosen.signing_key or ()),
         signing_setup=chosen.signing_setup,
+        forward=tuple(chosen.forward or ()),
     )
     manner = Manner(chosen.speed, chosen.json)
     codes = (fly(path, options, manner) for path in chosen.missions)

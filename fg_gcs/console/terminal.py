@@ -314,6 +314,8 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
         ("unsigned", "frames without a signature"),
         ("forged", "frames signed with another key"),
         ("replayed", "frames that came again, or too late"),
+        ("not_forwarded", "frames that a receiver missed"),
+        ("commands_dropped", "commands of other programs"),
     ):
         if summary.get(key):
             lines.append((name, f"{summary[key]} dropped"))

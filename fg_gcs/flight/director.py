@@ -47,8 +47,10 @@ from fg_gcs.flight.supervisor import Duty, Supervisor, bystander
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
 from fg_gcs.flight.watch import Watch
 from fg_gcs.link.clock import ticks
+from fg_gcs.link.counters import Counters
 from fg_gcs.link.endpoint import Endpoint, places
-from fg_gcs.link.router import Counters, Router
+from fg_gcs.link.forwarding import Forwards
+from fg_gcs.link.router import Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.by_themselves import LEAST_M
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, plan_figures
@@ -78,6 +80,7 @@ class Setup(NamedTuple):
     substitutes: Substitutes = Substitutes()  # for the sources of sightings that the mission names
     kept: KeptParameters | None = None  # where users' own values of parameters are kept while they are changed
     signing: Mapping[str, Signing] = MappingProxyType({})  # by network, see `Router.open`
+    forwards: Forwards | None = None  # who else gets telemetry
 
 
 @dataclass
@@ -180,9 +183,9 @@ class Director:
         """
         networks = self._setup.networks
         wanted = self._wanted()
-        listener = self._link_recorder
+        hearer, setup = self._link_recorder, self._setup
         router = self._router = await Router.open(
-            networks, on_frame=listener.on_frame, tap=listener.tap, signing=self._setup.signing
+            networks, on_frame=hearer.on_frame, tap=hearer.tap, signing=setup.signing, forwards=setup.forwards
         )
         self.journal.event("open", places(networks))
         supervisor = Supervisor(self._report, self.journal, self.around)

@@ -4,24 +4,24 @@ import asyncio
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 from functools import partial
 from types import MappingProxyType
 from typing import Final, NamedTuple, Self, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fg_gcs.link.clock import ticks
+from fg_gcs.link.counters import Counters
 from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire
+from fg_gcs.link.forwarding import ForwardCounts, Forwarder, Forwards
 from fg_gcs.link.opening import open_wire
 from fg_gcs.link.peers import MOST_WAITING, Peer, Peers
+from fg_gcs.link.routes import Routes
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import profile_of
 from fg_gcs.wire.codec import GCS_SYSTEM, Frame, Message, is_known
-from fg_gcs.wire.framing import Frames, Sender, as_sent, laid_out, same_for_all
+from fg_gcs.wire.framing import Frames, as_sent, laid_out, same_for_all
 from fg_gcs.wire.messages import HEARTBEAT
 from fg_gcs.wire.signing import LINK_IDS, SETUP_SIGNING, Refusal, Signature, Signing
 from fg_gcs.wire.timing import timesync
@@ -54,44 +54,6 @@ Tap = Callable[[Direction, Sequence[bytes] | Frames, float], None]  # frames one
 OnFrame = Callable[[Vehicle, Frame, float], None]
 
 
-class Counters(NamedTuple):
-    """What went through a router so far.
-
-    Attributes:
-        frames_in: Good frames, unknown messages included.
-        frames_out: Frames sent.
-        bad_bytes: Bytes that belonged to no good frame.
-        unknown_messages: Frames whose message the dialect does not know.
-        dropped: Frames not sent because the way out was full or closed.
-        unroutable: Frames for a vehicle that was never heard.
-        clashes: Frames ignored because their vehicle is already heard from elsewhere in its network.
-        errors: Errors the system reported for our sockets.
-        refused: Datagrams that were not read, or not to their end, because their sender sends too much, and those that
-            the system has dropped before.
-        unsigned: Frames not taken because they are not signed, in a network with a key.
-        forged: Frames not taken because they are signed with another key.
-        replayed: Frames not taken because their time stamp came before, or is too old.
-    """
-
-    frames_in: int
-    frames_out: int
-    bad_bytes: int
-    unknown_messages: int
-    dropped: int
-    unroutable: int
-    clashes: int
-    errors: int
-    refused: int
-    unsigned: int
-    forged: int
-    replayed: int
-
-    @classmethod
-    def none(cls) -> Self:
-        """Return those of a router that never opened."""
-        return cls(*[0] * len(cls._fields))
-
-
 class _Clash(NamedTuple):
     """Somebody else who speaks under a vehicle's id."""
 
@@ -119,53 +81,6 @@ class _Gate:
     since_s: float = -math.inf
     is_stale: bool = False
     timer: asyncio.TimerHandle | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Routes:
-    """The ways to some vehicles, each to where its vehicle was heard.
-
-    Attributes:
-        peers: Where they lead.
-        senders: What numbers the frames to each of them; for `fg_gcs.wire.setpoint.SetpointRound`.
-        rounds: One for each wire.
-    """
-
-    peers: Sequence[Peer]
-    senders: list[Sender]
-    rounds: Sequence["_Round"]
-
-    @classmethod
-    def of(cls, peers: Sequence[Peer]) -> Self:
-        """Return the ways to these peers."""
-        by_wire: dict[Wire, list[int]] = {}
-        for place, peer in enumerate(peers):
-            by_wire.setdefault(peer.wire, []).append(place)
-        senders = [peer.sender for peer in peers]
-        signed = {sender.signature is not None for sender in senders}
-        rounds = [
-            _Round(
-                None if len(by_wire) == 1 else np.array(places),
-                len(signed) > 1 and senders[places[0]].signature is None,
-                wire.round_to([peers[place].address for place in places]),
-            )
-            for wire, places in by_wire.items()
-        ]
-        return cls(peers, senders, rounds)
-
-
-class _Round(NamedTuple):
-    """What leaves at one wire.
-
-    Attributes:
-        places: Those of its vehicles among all addresses; None: all of them.
-        is_shorter: Its frames are not signed while others of the round are.
-        send: What sends to them.
-    """
-
-    places: NDArray[np.int_] | None
-    is_shorter: bool
-    send: Callable[[Frames], None]
 
 
 class _Called(NamedTuple):
@@ -205,6 +120,7 @@ class Router:
         self._wires: list[Wire] = []
         self._signing = signing
         self._peers = Peers(signatures)
+        self._forwarder: Forwarder | None = None
         self._not_taken: set[tuple[str, Refusal]] = set()  # of which people know
         self._known = self._peers.known
         self._asked = _Called((), ())  # for their time, by whoever uses this
@@ -228,6 +144,7 @@ class Router:
         on_frame: OnFrame | None = None,
         tap: Tap | None = None,
         signing: Mapping[str, Signing] = MappingProxyType({}),
+        forwards: Forwards | None = None,
     ) -> Self:
         """Open all endpoints of all networks.
 
@@ -238,6 +155,7 @@ class Router:
                 loop time [s]: the recorder. A message that gives a vehicle a key is not among them.
             signing: What signs and judges the frames of a network, by its name; none: they are not signed, and whatever
                 comes there is taken.
+            forwards: Who else gets telemetry.
 
         Raises:
             LinkError: A port is taken, or a connection is refused; nothing stays open.
@@ -257,6 +175,9 @@ class Router:
                     router._wires.append(wire)
                     if wire.remote is not None:
                         router._peers.settle(router._peers.new(network, wire, wire.remote))
+            if forwards is not None:
+                router._forwarder = Forwarder(forwards, router.vehicles, router._pass_on, router.notices, signing)
+                await router._forwarder.open()
         except BaseException:
             router.close()
             raise
@@ -278,6 +199,7 @@ class Router:
             unsigned=self._count_not_taken(Refusal.UNSIGNED),
             forged=self._count_not_taken(Refusal.FORGED),
             replayed=self._count_not_taken(Refusal.REPLAYED),
+            **asdict(ForwardCounts() if self._forwarder is None else self._forwarder.counts),
         )
 
     @property
@@ -327,11 +249,8 @@ class Router:
         if peer is None:
             self._unroutable += 1
             return
-        data = peer.sender.pack(message)
-        peer.wire.send(data, peer.address)
-        self._frames_out += 1
-        if self._tap is not None and message.get_msgId() != SETUP_SIGNING:  # a key stays with who has it
-            self._tap(Direction.OUT, (data,), self._time())
+        is_secret = message.get_msgId() == SETUP_SIGNING  # a key stays with who has it
+        self._send(peer, peer.sender.pack(message), None if is_secret else self._tap)
 
     async def keep_alive(self, period_s: float = KEEP_ALIVE_S) -> None:
         """Send heartbeats, ask for the time and notice silent vehicles, for ever: run it as a task.
@@ -381,8 +300,20 @@ class Router:
     def close(self) -> None:
         """Close all sockets; may be called twice. What was not read yet is not read any more."""
         self._unfinished.clear()
+        if self._forwarder is not None:
+            self._forwarder.close()
         for wire in self._wires:
             wire.close()
+
+    def _send(self, peer: Peer, data: bytes, tap: Tap | None) -> None:
+        peer.wire.send(data, peer.address)
+        self._frames_out += 1
+        if tap is not None:
+            tap(Direction.OUT, (data,), self._time())
+
+    def _pass_on(self, address: VehicleAddress, data: bytes) -> None:
+        """Send a vehicle what another program says to it (the forwarder calls this)."""
+        self._send(self._routes[address], data, self._tap)
 
     def _ask_for_time(self, routes: Routes) -> None:
         now_s = self._time()
@@ -536,6 +467,8 @@ class Router:
                     vehicle.handle(frame, now_s)
                     if self._on_frame is not None:
                         self._on_frame(vehicle, frame, now_s)
+        if self._forwarder is not None:
+            self._forwarder.take(peer.network, frames)
 
     def _found(self, peer: Peer, frame: Frame, now_s: float) -> Vehicle | None:
         """Return the vehicle of an autopilot that was not heard from this peer before; a heartbeat makes one."""

@@ -49,6 +49,10 @@ class SwarmTable(MissionTable):
         description="different whole numbers from 1 to 250, one for each vehicle; with several networks the network's "
         'name before each, as in "west/7" (default: 1, 2, 3, ...)',
     )
+    forward_commands: bool = Field(
+        default=False,
+        description="true or false, whether what programs say that --forward names reaches vehicles (default false)",
+    )
 
     def members(self) -> tuple[tuple[str, int], ...]:
         """Return network and system id of every vehicle, ascending; the network is "" where none is named."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.target_follower import warm_up
 from fg_gcs.link.clock import make_loop, speed_of
 from fg_gcs.link.endpoint import Endpoint, parse_networks
+from fg_gcs.link.forwarding import Forwards, parse_forwards
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
 from fg_gcs.record.read.run import RunError
@@ -48,6 +50,13 @@ VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time no other pr
 Networks = Mapping[str, tuple[Endpoint, ...]]  # by name
 
 
+class _Extras(NamedTuple):
+    """What a flight's links have besides."""
+
+    keys: Mapping[str, bytes]  # by network
+    forwards: Forwards | None
+
+
 @dataclass(frozen=True)
 class FlyOptions:
     """How a mission is flown.
@@ -72,6 +81,8 @@ class FlyOptions:
         serve_snapshots: offer snapshots to other programs on a socket in the run's folder; never in virtual time.
         signing_keys: files of MAVLink 2 keys, each ``[NAME=]FILE``, NAME being a network's; nothing unsigned is taken
             in a network with a key, and the built-in simulator has it, too.
+        forward: who else gets telemetry, each ``[NAME=]udpout:HOST:PORT`` or ``[NAME=]tcp:HOST:PORT``, NAME being the
+            network whose vehicles it sees.
         signing_setup: vehicles do not have the keys yet: they are given them, and must sign before anything is armed.
     """
 
@@ -90,6 +101,7 @@ class FlyOptions:
     serve_snapshots: bool = True
     signing_keys: tuple[str, ...] = ()
     signing_setup: bool = False
+    forward: tuple[str, ...] = ()
     write_report: bool = True
 
 
@@ -163,6 +175,7 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
     """
     chosen = options or FlyOptions()
     networks = _networks(mission, chosen)
+    forwards = _forwards(mission, chosen, networks)
     files = key_files(chosen.signing_keys, networks or (MAIN,))
     keys = keys_in(files)
     if chosen.signing_setup and not keys:
@@ -185,7 +198,7 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
         audience = await stack.enter_async_context(
             Audience.open(observers, recorder, folder if chosen.serve_snapshots and not virtual else None)
         )
-        director, error = await _flown(mission, chosen, networks, wish, keys, recorder, audience)
+        director, error = await _flown(mission, chosen, networks, wish, _Extras(keys, forwards), recorder, audience)
         result = await asyncio.to_thread(_finished, mission, chosen, director, error, recorder, loop.time())
     if isinstance(error, asyncio.CancelledError):
         raise error
@@ -262,6 +275,19 @@ def _networks(mission: Mission, options: FlyOptions) -> Networks:
         raise MissionError(f"{what}: {error}") from error
 
 
+def _forwards(mission: Mission, options: FlyOptions, networks: Networks) -> Forwards | None:
+    """Return who else gets telemetry; None: nobody.
+
+    Raises:
+        MissionError: an option is at fault.
+    """
+    try:
+        receivers = parse_forwards(options.forward, networks or {MAIN: ()})
+    except LinkError as error:
+        raise MissionError(f"--forward: {error}") from error
+    return Forwards(receivers, mission.swarm.forward_commands) if receivers else None
+
+
 def _check_motion(target: str, motion: TrueMotion) -> None:
     """Refuse a motion whose answers are no positions and velocities, before anything is armed."""
     try:
@@ -295,7 +321,7 @@ async def _flown(
     options: FlyOptions,
     networks: Networks,
     wish: SimulatorWish | None,
-    keys: Mapping[str, bytes],
+    extras: _Extras,
     recorder: Recorder,
     audience: Audience,
 ) -> tuple[Director, Exception | asyncio.CancelledError | None]:
@@ -303,7 +329,7 @@ async def _flown(
     loop = asyncio.get_running_loop()
     async with AsyncExitStack() as stack:
         try:
-            setup = await stack.enter_async_context(_surroundings(mission, options, networks, wish, keys, recorder))
+            setup = await stack.enter_async_context(_surroundings(mission, options, networks, wish, extras, recorder))
         except FgError as error:  # the simulator did not start
             recorder.event(loop.time(), "error", str(error))
             return Director(mission, Setup(networks, 0.0, True, time.perf_counter), recorder), error
@@ -349,7 +375,7 @@ async def _surroundings(
     options: FlyOptions,
     networks: Networks,
     wish: SimulatorWish | None,
-    keys: Mapping[str, bytes],
+    extras: _Extras,
     recorder: Recorder,
 ) -> AsyncIterator[Setup]:
     """Start what has to be simulated; yield how the flight is connected to it.
@@ -372,7 +398,7 @@ async def _surroundings(
     async with (
         simulated(mission, wish, port, targets_port, recorder.folder) as simulators,
         signing_with(
-            keys, VIRTUAL_EPOCH_S if virtual else time.time(), folder, warn, sets_up=options.signing_setup
+            extras.keys, VIRTUAL_EPOCH_S if virtual else time.time(), folder, warn, sets_up=options.signing_setup
         ) as signing,
     ):
 
@@ -390,6 +416,7 @@ async def _surroundings(
             Substitutes(f"udpin:127.0.0.1:{targets_port}", options.motions, options.sightings),
             kept,
             signing,
+            extras.forwards,
         )
         if kept is not None:
             kept.close()
