@@ -22,12 +22,8 @@ examples:
   fg-gcs fly missions/sitl.toml --connect udpin:127.0.0.1:14550
                                                      fly real PX4 or ArduPilot SITL vehicles
   fg-gcs fly missions/sitl.toml --px4 9              nine PX4 SITL instances, at the ports that they have
-  fg-gcs fly missions/sitl.toml --ardupilot 6 --connect serial:/dev/ttyUSB0:57600
-                                                     six ArduPilot SITL instances, and who is behind a radio
   fg-gcs fly missions/sitl.toml --signing-key swarm.key
                                                      nothing that is not signed with that key is sent or taken
-  fg-gcs fly missions/sitl.toml --px4 9 --forward udpout:127.0.0.1:14560
-                                                     whoever listens there sees every vehicle
   fg-gcs plan missions/*.toml --json                 plan without flying, one JSON line a file
   fg-gcs check missions/*.toml                       is each file a valid mission?
   fg-gcs sim --vehicles 9 --autopilot ardupilot      only the simulator, for any ground station
@@ -44,6 +40,19 @@ examples:
 exit codes: 0 done, 1 the flight was aborted, and every vehicle is down, 2 bad input, 3 no vehicle answered,
   4 internal error, 5 ended, but not everything is as it should be:
   recording incomplete, or a vehicle not known to be down
+"""
+
+
+FLY_EPILOG = """examples:
+  fg-gcs fly missions/demo.toml                      with the built-in simulator
+  fg-gcs fly missions/sitl.toml --px4 9 --forward udpout:127.0.0.1:14560
+                                                     nine PX4 SITL instances; another program watches
+  fg-gcs fly missions/sitl.toml --ardupilot 8 --connect serial:/dev/ttyUSB0:57600
+                                                     eight ArduPilot SITL instances, and one behind a radio
+  fg-gcs fly missions/sitl.toml --connect tcpin:0.0.0.0:5760
+                                                     vehicles connect to us, from other machines as well
+  fg-gcs fly missions/sitl.toml --connect west=udpin:14550 --connect east=udpin:14551 --signing-key west=west.key
+                                                     two networks, one of which is signed
 """
 
 
@@ -108,7 +117,13 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_fly(commands: Commands) -> None:
-    fly = commands.add_parser("fly", help="fly a mission", description="Fly a mission and write a report.")
+    fly = commands.add_parser(
+        "fly",
+        help="fly a mission",
+        description="Fly a mission and write a report.",
+        epilog=FLY_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     fly.add_argument(
         "missions",
         type=Path,

@@ -59,7 +59,7 @@ async def open_wire(endpoint: Endpoint, on_data: OnData, on_change: OnChange | N
         if error.errno == errno.EADDRINUSE:
             raise LinkError(f"{endpoint}: port {endpoint.port} is in use: another ground station?") from error
         if error.errno == errno.ECONNREFUSED:
-            raise LinkError(f"{endpoint}: nothing listens there; the vehicle must be started first") from error
+            raise LinkError(f"{endpoint}: nothing listens there; it must be started first") from error
         if error.errno == errno.EBUSY and endpoint.kind is Kind.SERIAL:
             raise LinkError(f"{endpoint}: the device is in use: another ground station?") from error
         raise LinkError(f"{endpoint}: {error.strerror or error}") from error

@@ -21,7 +21,7 @@ from fg_gcs.run.signing import key_files
 from fg_gcs.run.simulators import VIRTUAL_EPOCH_S
 from fg_gcs.wire.codec import MAGIC_V2, SIGNED, Codec
 from fg_gcs.wire.signing import stamp_of
-from sitl_mock import read_key
+from sitl_mock import parse_impairment, read_key
 from sitl_mock.host.server import Counters, Simulator, SimulatorOptions
 from tests.flight.harness import AUTOPILOTS, GROUND_PORT, mission_of
 
@@ -57,6 +57,7 @@ def flown(
     vehicles_key: Path | None,
     options: FlyOptions,
     clock_ahead_s: float = 0.0,
+    impairments: Sequence[dict[str, object]] = (),
     attacked: bool = False,
 ) -> tuple[RunResult, Counters]:
     """Fly with vehicles that have a key, or none, and whose clock is ahead of ours."""
@@ -68,6 +69,7 @@ def flown(
         remotes=(("127.0.0.1", GROUND_PORT),),
         signing_key=None if vehicles_key is None else read_key(vehicles_key),
         epoch_s=VIRTUAL_EPOCH_S + clock_ahead_s,
+        impairments=tuple(map(parse_impairment, impairments)),
     )
     chosen = replace(
         options,
@@ -129,6 +131,25 @@ def test_a_flight_under_attack_is_none_the_worse(tmp_path: Path) -> None:
         count = result.summary[reason]
         assert isinstance(count, int)
         assert count > 500
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_what_the_link_reorders_is_taken_and_what_it_doubles_is_not(autopilot: str, tmp_path: Path) -> None:
+    key = key_file(tmp_path)
+    options = FlyOptions(signing_keys=(str(key),))
+    link = {"direction": "from_vehicle", "delay_s": 0.02, "jitter_s": 0.04, "reorder": 0.1}
+    reordered, _ = flown(tmp_path, autopilot=autopilot, vehicles_key=key, options=options, impairments=[link])
+    assert reordered.completed, reordered.reason
+    assert reordered.summary["replayed"] == 0
+    (again := tmp_path / "again").mkdir()
+    doubled, _ = flown(
+        again, autopilot=autopilot, vehicles_key=key, options=options, impairments=[link | {"duplicate": 0.2}]
+    )
+    assert doubled.completed, doubled.reason
+    replayed, taken = doubled.summary["replayed"], doubled.summary["frames_in"]
+    assert isinstance(replayed, int)
+    assert isinstance(taken, int)
+    assert 0.1 < replayed / taken < 0.2  # a sixth of what came
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
