@@ -203,8 +203,8 @@ class Director:
             self.result.died = tuple(name for name, _ in supervisor.deaths)
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
             self.result.stages = self.journal.stages
-            self.result.counters = router.counters
             router.close()
+            self.result.counters = router.counters  # with what still waited to be forwarded
             if self.target_follower is not None:
                 self.target_follower.close()
                 self.result.tracking = self.target_follower.tracking
@@ -437,6 +437,8 @@ class Director:
                         raise
                     self.journal.event("notice", f"{error}; others fly instead")
                     continue
+                for signing in self._setup.signing.values():
+                    signing.rely()
                 return fleet, await self._prepare(fleet, failsafes)
 
     async def _connect(

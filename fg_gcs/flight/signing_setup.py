@@ -1,4 +1,4 @@
-"""Vehicles that have no key yet are given ours, and it is relied on only when every one of them signs with it."""
+"""Vehicles that have no key yet are given ours, and nothing is begun before every one of them signs with it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ SETTLE_S: Final = 5.0  # heartbeats come once a second; one that is signed has t
 
 
 async def set_up_signing(fleet: Fleet, signing: Mapping[str, Signing], journal: Journal) -> None:
-    """Give the vehicles of each network that is to be set up its key; from then on nothing unsigned is taken there.
+    """Give the vehicles of each network that is to be set up its key; what they send unsigned is not taken any more.
+
+    Others may still be heard unsigned, in case one of them has to fly instead, until `Signing.rely`.
 
     Args:
         fleet: nobody has armed them.
@@ -26,16 +28,13 @@ async def set_up_signing(fleet: Fleet, signing: Mapping[str, Signing], journal: 
         journal: where it is told.
 
     Raises:
-        NotDone: a vehicle does not sign; nothing is relied on.
+        NotDone: a vehicle does not sign.
     """
     given = [vehicle for vehicle in fleet.vehicles if _is_to_be_given(vehicle, signing)]
     await fleet.ask(given, lambda vehicle: [_request(signing[vehicle.address.network])])
-    for each in signing.values():
-        each.rely()
     signed = [vehicle.address for vehicle in fleet.vehicles if vehicle.address.network in signing]
     if signed:
-        text = f"{vehicles_named(signed)} {'signs' if len(signed) == 1 else 'sign'} with our key"
-        journal.event("signing", f"{text}; nothing unsigned is taken")
+        journal.event("signing", f"{vehicles_named(signed)} {'signs' if len(signed) == 1 else 'sign'} with our key")
 
 
 def _is_to_be_given(vehicle: Vehicle, signing: Mapping[str, Signing]) -> bool:

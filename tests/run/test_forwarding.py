@@ -42,6 +42,7 @@ def flown(folder: Path, text: str, autopilot: str, *said: Message) -> tuple[RunR
         program = await Program.start()
         options = FlyOptions(autopilot=autopilot, forward=(str(RECEIVER),), logs=folder, write_report=False)
         result = await run_mission(mission_of(folder, text), options, [_InHold(lambda: program.say(*said))])
+        await asyncio.sleep(0.1)  # the last datagram is still under way
         return result, program
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:

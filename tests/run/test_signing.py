@@ -176,10 +176,21 @@ def test_vehicles_are_given_the_key_and_sign_before_they_are_relied_on(autopilot
     assert result.completed, result.reason
     assert counters.not_signed == 0
     events = (result.folder / "events.jsonl").read_text()
-    assert "vehicles 1-4 sign with our key; nothing unsigned is taken" in events
+    assert "vehicles 1-4 sign with our key" in events
     secret = read_key(key)
     for path in result.folder.iterdir():  # the record is for others' eyes
         assert secret not in path.read_bytes(), path.name
+
+
+def test_a_vehicle_that_does_not_take_the_key_keeps_all_on_the_ground(tmp_path: Path) -> None:
+    """What is sent to it does not arrive."""
+    key = key_file(tmp_path)
+    deaf: dict[str, object] = {"vehicles": [3], "loss": 1.0, "direction": "to_vehicle", "messages": ["SETUP_SIGNING"]}
+    options = FlyOptions(signing_keys=(str(key),), signing_setup=True)
+    result, _ = flown(tmp_path, vehicles_key=None, options=options, impairments=[deaf])
+    assert result.outcome is Outcome.ABORTED
+    assert result.reason.startswith("vehicle 3 did not sign what it sends with the key that it was given within 5 s")
+    assert result.summary["vehicles_not_down"] == []
 
 
 def test_vehicles_that_have_another_key_are_not_armed(tmp_path: Path) -> None:
