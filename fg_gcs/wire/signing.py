@@ -25,7 +25,8 @@ REORDERED: Final = 256  # of a stream's newest stamps so many at least are known
 SETUP_SIGNING: Final[int] = dialect.MAVLINK_MSG_ID_SETUP_SIGNING
 RADIO_STATUS: Final[int] = dialect.MAVLINK_MSG_ID_RADIO_STATUS
 
-_MOST_STAMP: Final = (1 << 48) - 1
+_MOST_STAMP: Final = (1 << 48) - 1  # in the year 2104
+_MOST_HEARD: Final = _MOST_STAMP - 366 * 86_400 * UNITS_PER_S  # a broken clock must not lead ours to where none is left
 _DIGEST_BYTES: Final = 6
 _STAMP_BYTES: Final = 6
 _AUTOPILOT: Final[int] = dialect.MAV_COMP_ID_AUTOPILOT1
@@ -53,6 +54,7 @@ class Stamps:
     """
 
     def __init__(self, clock: Callable[[], float], start: int) -> None:
+        start = min(start, _MOST_HEARD)
         self._clock = clock
         self._ahead = start - int(clock() * UNITS_PER_S)  # of the clock
         self._newest = start
@@ -66,7 +68,7 @@ class Stamps:
 
     def hear(self, stamp: int) -> None:
         """Take a good stamp of somebody else: if that clock is ahead, ours goes on from there."""
-        now = self.now()
+        now, stamp = self.now(), min(stamp, _MOST_HEARD)
         if stamp > now:
             self._ahead += stamp - now
             self._newest = stamp
@@ -145,7 +147,7 @@ class Signing:
         key: As given.
         sets_up: As given, until the key is relied on.
         counts: Frames refused so far, by the reason.
-        signed: System ids that have sent a good signature.
+        signed: System ids of autopilots that have sent a good signature.
     """
 
     def __init__(self, key: bytes, stamps: Stamps, *, sets_up: bool = False) -> None:
@@ -202,5 +204,6 @@ class Signing:
         if not stream.add(stamp):
             return Refusal.REPLAYED
         self._stamps.hear(stamp)
-        self.signed.add(frame.system_id)
+        if frame.component_id == _AUTOPILOT:  # and not what flies with it
+            self.signed.add(frame.system_id)
         return None

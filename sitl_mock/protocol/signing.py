@@ -12,6 +12,7 @@ SIGNATURE_BYTES = 13  # link id, 48 bits of time stamp, 48 bits of digest
 SIGNED = 0x01  # the incompatibility flag of a frame that has one
 EPOCH_UNIX_S = 1_420_070_400  # 2015-01-01: where time stamps begin
 STAMPS_PER_S = 100_000
+MOST_STAMP = (1 << 48) - 1
 MINUTE_STAMPS = 60 * STAMPS_PER_S
 RADIO_STATUS = 109
 MOST_KEY_FILE_BYTES = 4096
@@ -67,7 +68,7 @@ class Signing:
     def signature(self, frame: bytes, link: int) -> bytes:
         """What follows a frame."""
         assert self._key is not None
-        self._stamp = max(self._stamp + 1, self._time.stamp())
+        self._stamp = min(max(self._stamp + 1, self._time.stamp()), MOST_STAMP)
         tail = bytes([link & 0xFF]) + self._stamp.to_bytes(6, "little")
         return tail + hashlib.sha256(self._key + frame + tail).digest()[:6]
 

@@ -183,7 +183,7 @@ def test_our_clock_follows_one_that_is_ahead() -> None:
     assert int.from_bytes(answer.raw[-12:-6], "little") > NOW > NOW - hour
 
 
-@given(st.lists(st.one_of(st.floats(0.0, 10.0), st.integers(0, 2**47)), max_size=60))
+@given(st.lists(st.one_of(st.floats(0.0, 10.0), st.integers(0, 2**48 - 1)), max_size=60))
 def test_stamps_never_run_back_and_none_is_used_twice(steps: list[float | int]) -> None:
     now_s = 0.0
     stamps, before = Stamps(lambda: now_s, NOW), NOW
@@ -193,8 +193,22 @@ def test_stamps_never_run_back_and_none_is_used_twice(steps: list[float | int]) 
         else:
             now_s += step
         stamp = stamps.take()
-        assert stamp > before
+        assert before < stamp < 2**48
         before = stamp
+
+
+def test_a_clock_that_is_broken_does_not_lead_ours_to_the_end_of_time() -> None:
+    for start in (2**48 - 1, 10**15 - 1):
+        stamps = Stamps(lambda: 0.0, start)
+        stamps.hear(2**48 - 1)
+        assert len(Signing(KEY, stamps).signature(0).of(b"frame")) == 13
+
+
+def test_what_flies_with_an_autopilot_does_not_sign_for_it() -> None:
+    judge = signing(sets_up=True)
+    (frame,) = frames_of(Sender(1, 191, signing().signature(0)).pack(commands.heartbeat()))
+    assert judge.refusal(frame) is None
+    assert judge.signed == set()
 
 
 def test_a_radio_is_heard_though_it_has_no_key_but_not_as_a_vehicle() -> None:
