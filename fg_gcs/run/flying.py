@@ -261,8 +261,9 @@ def _networks(mission: Mission, options: FlyOptions) -> Networks:
     for name in ("wait_s", "snapshot_hz"):
         if not 0.0 < getattr(options, name) < math.inf:
             raise MissionError(f"{name} = {getattr(options, name)}; accepted: a number above 0")
-    if isinstance(options.connect, str):
-        raise MissionError(f"connect = {options.connect!r}; accepted: a tuple of endpoints")
+    for name, accepted in (("connect", "endpoints"), ("forward", "endpoints"), ("signing_keys", "files")):
+        if isinstance(getattr(options, name), str):
+            raise MissionError(f"{name} = {getattr(options, name)!r}; accepted: a tuple of {accepted}")
     unknown = {*options.motions, *options.sightings} - {target.name for target in mission.targets or ()}
     if unknown:
         raise MissionError(f"{mission.path}: no target is called {sorted(unknown)[0]!r}, so it can have no source")

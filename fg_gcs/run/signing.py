@@ -68,7 +68,7 @@ async def signing_with(
         keys: by the names of networks.
         epoch_s: what the wall clock shows now [s since 1970].
         folder: where stamps are kept; None: nothing has to outlive the run.
-        warn: told what the disk does not take.
+        warn: told once what the disk does not take.
         sets_up: vehicles do not have the keys yet, see `Signing`.
     """
     if not keys:
@@ -81,13 +81,27 @@ async def signing_with(
     if kept is None:
         yield signing
         return
-    await _keep(kept, stamps, warn)
-    keeper = asyncio.ensure_future(_go_on_keeping(kept, stamps, warn))
+    told = _Once(warn)
+    await _keep(kept, stamps, told)
+    keeper = asyncio.ensure_future(_go_on_keeping(kept, stamps, told))
     try:
         yield signing
     finally:
         keeper.cancel()
         await asyncio.gather(keeper, return_exceptions=True)
+
+
+class _Once:
+    """Tells the first of what there is to tell."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell: Callable[[str], None] | None = tell
+
+    def __call__(self, text: str) -> None:
+        """Tell, or not."""
+        tell, self._tell = self._tell, None
+        if tell is not None:
+            tell(text)
 
 
 async def _go_on_keeping(kept: KeptStamp, stamps: Stamps, warn: Callable[[str], None]) -> None:

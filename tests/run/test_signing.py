@@ -168,6 +168,16 @@ def test_a_clock_that_was_set_back_an_hour_still_flies(autopilot: str, tmp_path:
     assert KeptStamp(state).read() > max(stamps)
 
 
+def test_a_state_folder_that_takes_nothing_is_told_once(tmp_path: Path) -> None:
+    key, state = key_file(tmp_path), tmp_path / "state"
+    state.write_text("a file is no folder")
+    options = FlyOptions(signing_keys=(str(key),), state=state)
+    result, _ = flown(tmp_path, vehicles_key=key, options=options)
+    assert result.completed, result.reason
+    said = (result.folder / "events.jsonl").read_text()
+    assert said.count("the time stamp of signatures cannot be kept: File exists") == 1
+
+
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_vehicles_are_given_the_key_and_sign_before_they_are_relied_on(autopilot: str, tmp_path: Path) -> None:
     key = key_file(tmp_path)
