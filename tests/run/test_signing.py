@@ -209,6 +209,8 @@ def test_vehicles_that_have_another_key_are_not_armed(tmp_path: Path) -> None:
     assert result.outcome is Outcome.NO_ANSWER
     events = (result.folder / "events.jsonl").read_text()
     assert "is signed with another key: it is not taken" in events
+    assert "; what came was refused: " in result.reason
+    assert result.reason.endswith(" frames signed with another key")
 
 
 def test_vehicles_without_a_key_are_not_heard_unless_they_are_to_get_one(tmp_path: Path) -> None:
@@ -216,6 +218,7 @@ def test_vehicles_without_a_key_are_not_heard_unless_they_are_to_get_one(tmp_pat
     result, _ = flown(tmp_path, vehicles_key=None, options=FlyOptions(signing_keys=(str(key),)))
     assert result.outcome is Outcome.NO_ANSWER
     assert "is not signed: it is not taken" in (result.folder / "events.jsonl").read_text()
+    assert result.reason.endswith(" frames unsigned")
 
 
 def test_the_built_in_simulator_signs_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
