@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sitl_mock.host.fleet import grid
     from sitl_mock.host.server import Counters, PortUnavailable, Simulator, SimulatorOptions
     from sitl_mock.host.targets import TargetOptions, parse_target
+    from sitl_mock.protocol.signing import read_key
 
 __all__ = [
     "Counters",
@@ -33,12 +34,13 @@ __all__ = [
     "parse_fault",
     "parse_impairment",
     "parse_target",
+    "read_key",
 ]
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used, so that `python -m sitl_mock --help` stays quick."""
-    for module in ("faults.schema", "host.fleet", "host.server", "host.targets"):
+    for module in ("faults.schema", "host.fleet", "host.server", "host.targets", "protocol.signing"):
         if name in __all__ and hasattr(found := importlib.import_module(f"sitl_mock.{module}"), name):
             return getattr(found, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -30,6 +30,8 @@ examples:
       vehicle 3 loses its satellites after half a minute
   python -m sitl_mock --vehicles 9 --impair '{"loss": 0.2, "delay_s": 0.1, "jitter_s": 0.05}'
       every link loses a fifth of its datagrams, the others come 100 to 150 ms late
+  python -m sitl_mock --vehicles 9 --signing-key swarm.key
+      vehicles that sign all they send, and take nothing that is not signed with the same key
 """
 USAGE_ERROR = 2
 
@@ -108,6 +110,13 @@ def _add_sockets(parser: argparse.ArgumentParser) -> None:
         metavar="PORT",
         help="vehicle k listens on PORT+k, and 3990 lower for each further remote; 0: on any free ports "
         "(default: 18570 for px4, 0 for ardupilot)",
+    )
+    add(
+        "--signing-key",
+        type=Path,
+        metavar="FILE",
+        help="vehicles sign what they send and take nothing unsigned; FILE holds 32 bytes, 64 hexadecimal digits or a "
+        "passphrase, and nobody else may read it (default: no key, until SETUP_SIGNING gives one)",
     )
     add("--with-parent", action="store_true", help="exit when standard input ends; lines there tell stages: stage hold")
     add("--truth", type=Path, metavar="FILE", help="write what vehicles truly hit, and how close they came, as JSON")
@@ -212,6 +221,7 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
     from sitl_mock.faults.schema import parse_fault, parse_impairment
     from sitl_mock.host.fleet import grid
     from sitl_mock.host.server import SimulatorOptions
+    from sitl_mock.protocol.signing import read_key
 
     pads = arguments.pads
     vehicles = (len(pads) if pads else 1) if arguments.vehicles is None else arguments.vehicles
@@ -241,6 +251,7 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
         collisions=not arguments.harmless,
         dynamics=arguments.dynamics,
         lockstep=arguments.lockstep,
+        signing_key=None if arguments.signing_key is None else read_key(arguments.signing_key),
         faults=_read_all("--fault", parse_fault, arguments.fault),
         impairments=_read_all("--impair", parse_impairment, arguments.impair),
         manners=Manners(arguments.strict_commands, arguments.new_partner, arguments.parameter_freeze),

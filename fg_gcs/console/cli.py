@@ -21,6 +21,9 @@ examples:
   fg-gcs fly missions/demo.toml --speed max          the same in virtual time: seconds, not minutes
   fg-gcs fly missions/sitl.toml --connect udpin:127.0.0.1:14550
                                                      fly real PX4 or ArduPilot SITL vehicles
+  fg-gcs fly missions/sitl.toml --px4 9              nine PX4 SITL instances, at the ports that they have
+  fg-gcs fly missions/sitl.toml --signing-key swarm.key
+                                                     nothing that is not signed with that key is sent or taken
   fg-gcs plan missions/*.toml --json                 plan without flying, one JSON line a file
   fg-gcs check missions/*.toml                       is each file a valid mission?
   fg-gcs sim --vehicles 9 --autopilot ardupilot      only the simulator, for any ground station
@@ -40,6 +43,19 @@ exit codes: 0 done, 1 the flight was aborted, and every vehicle is down, 2 bad i
 """
 
 
+FLY_EPILOG = """examples:
+  fg-gcs fly missions/demo.toml                      with the built-in simulator
+  fg-gcs fly missions/sitl.toml --px4 9 --forward udpout:127.0.0.1:14560
+                                                     nine PX4 SITL instances; another program watches
+  fg-gcs fly missions/sitl.toml --ardupilot 8 --connect serial:/dev/ttyUSB0:57600
+                                                     eight ArduPilot SITL instances, and one behind a radio
+  fg-gcs fly missions/sitl.toml --connect tcpin:0.0.0.0:5760
+                                                     vehicles connect to us, from other machines as well
+  fg-gcs fly missions/sitl.toml --connect west=udpin:14550 --connect east=udpin:14551 --signing-key west=west.key
+                                                     two networks, one of which is signed
+"""
+
+
 STREAM_EPILOG = """examples:
   fg-gcs bench stream                                everything; takes some minutes, on a quiet machine
   fg-gcs bench stream --alone --vehicles 250         ours beside the bare loop, for a swarm of 250
@@ -52,6 +68,7 @@ Vehicles are played by a small process of their own, which sends frames made bef
 RECOVER_EPILOG = """examples:
   fg-gcs recover                                     after a crash: everything that run had in the air
   fg-gcs recover --connect udpin:127.0.0.1:14550     the same where vehicles are heard elsewhere now
+  fg-gcs recover --signing-key swarm.key             the same where vehicles take only what is signed
 
 exit codes: 0 everything is down and has its own parameters, 2 the run is alive, 3 no vehicle answered,
   5 something is left to do
@@ -100,7 +117,13 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_fly(commands: Commands) -> None:
-    fly = commands.add_parser("fly", help="fly a mission", description="Fly a mission and write a report.")
+    fly = commands.add_parser(
+        "fly",
+        help="fly a mission",
+        description="Fly a mission and write a report.",
+        epilog=FLY_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     fly.add_argument(
         "missions",
         type=Path,
@@ -108,14 +131,7 @@ def _add_fly(commands: Commands) -> None:
         metavar="MISSION",
         help="mission file, see missions/README.md; several are flown one after the other until one is not completed",
     )
-    fly.add_argument(
-        "--connect",
-        action="append",
-        metavar="[NAME=]ENDPOINT",
-        help="fly vehicles found here instead of starting the simulator: udpin:HOST:PORT, udpout:HOST:PORT or "
-        "tcp:HOST:PORT; repeat for more; NAME=ENDPOINT puts it into a network of that name, each of which has its own "
-        "system ids",
-    )
+    _add_links(fly)
     fly.add_argument(
         "--wait", type=_positive, default=30.0, metavar="S", help="for the first heartbeats (default: %(default)g s)"
     )
@@ -149,6 +165,67 @@ def _add_fly(commands: Commands) -> None:
     )
     fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
+
+
+def _add_links(fly: argparse.ArgumentParser) -> None:
+    """Add where vehicles are, who else sees them, and what is signed with."""
+    fly.add_argument(
+        "--connect",
+        action="append",
+        metavar="[NAME=]ENDPOINT",
+        help="fly vehicles found here instead of starting the simulator: udpin:HOST:PORT, udpout:HOST:PORT, "
+        "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD; repeat for more, of any kind; NAME=ENDPOINT puts it "
+        "into a network of that name, each of which has its own system ids",
+    )
+    _add_presets(fly)
+    fly.add_argument(
+        "--forward",
+        action="append",
+        metavar="[NAME=]ENDPOINT",
+        help="pass every vehicle's telemetry on, to QGroundControl, MAVProxy or a logger at udpout:HOST:PORT or "
+        "tcp:HOST:PORT; repeat for more; what they say to vehicles is dropped unless the mission allows it",
+    )
+    _add_signing_key(fly)
+    fly.add_argument(
+        "--signing-setup",
+        action="store_true",
+        help="the vehicles do not have the key yet: give it to them, and arm nothing before each signs with it; "
+        "whoever overhears that has the key, too",
+    )
+
+
+def _add_presets(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--px4",
+        type=_instances,
+        default=0,
+        metavar="N",
+        help="hear N SITL instances of PX4 where they send by themselves: UDP 14540, 14541 ..., from the 10th on 14549",
+    )
+    command.add_argument(
+        "--ardupilot",
+        type=_instances,
+        default=0,
+        metavar="N",
+        help="connect to N SITL instances of ArduPilot: TCP 5760, 5770 ...",
+    )
+
+
+def _connections(chosen: argparse.Namespace) -> tuple[str, ...]:
+    """Return all endpoints that were asked for."""
+    from fg_gcs.link.endpoint import ardupilot_endpoints, px4_endpoints
+
+    return (*(chosen.connect or ()), *px4_endpoints(chosen.px4), *ardupilot_endpoints(chosen.ardupilot))
+
+
+def _add_signing_key(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--signing-key",
+        action="append",
+        metavar="[NAME=]FILE",
+        help="sign all that is sent, and take nothing that is not signed with this key (MAVLink 2): 32 bytes, 64 "
+        "hexadecimal digits or a passphrase, in a file that nobody else may read; NAME=FILE is for one network",
+    )
 
 
 def _add_plan(commands: Commands) -> None:
@@ -214,9 +291,11 @@ def _add_recover(commands: Commands) -> None:
         metavar="[NAME=]ENDPOINT",
         help="where vehicles are (default: where that run had them)",
     )
+    _add_presets(recover)
     recover.add_argument(
         "--wait", type=_positive, default=5.0, metavar="S", help="for heartbeats (default: %(default)g s)"
     )
+    _add_signing_key(recover)
     recover.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     recover.add_argument(
         "--state", type=Path, metavar="DIR", help="where parameters are kept (default: the user's own)"
@@ -384,7 +463,7 @@ def _run(chosen: argparse.Namespace) -> int:
         case "recover":
             from fg_gcs.console import recover
 
-            return recover.run(chosen)
+            return recover.run(chosen, _connections(chosen))
         case "trial":
             from fg_gcs.console import trial
 
@@ -426,13 +505,16 @@ def _fly(chosen: argparse.Namespace) -> int:
     from fg_gcs.run.flying import FlyOptions
 
     options = FlyOptions(
-        connect=tuple(chosen.connect or ()),
+        connect=_connections(chosen),
         wait_s=chosen.wait,
         autopilot=chosen.autopilot,
         dynamics=chosen.dynamics,
         faults=_tables("--fault", chosen.fault),
         impairments=_tables("--impair", chosen.impair),
         logs=chosen.logs,
+        signing_keys=tuple(chosen.signing_key or ()),
+        signing_setup=chosen.signing_setup,
+        forward=tuple(chosen.forward or ()),
     )
     manner = Manner(chosen.speed, chosen.json)
     codes = (fly(path, options, manner) for path in chosen.missions)
@@ -457,6 +539,12 @@ def _jobs(text: str) -> int:
     if (value := _count(text)) == 0:
         raise argparse.ArgumentTypeError("0: at least one job is needed")
     return value
+
+
+def _instances(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 250:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 250")
+    return int(text)
 
 
 def _speed(text: str) -> float:

@@ -26,13 +26,18 @@ class _Told(Observer):
         print(f"{event.time_s:8.1f} s  {event.text}", file=sys.stderr, flush=True)
 
 
-def run(chosen: argparse.Namespace) -> ExitCode:
+def run(chosen: argparse.Namespace, connect: tuple[str, ...]) -> ExitCode:
     """Recover; show what was found and what became of it.
+
+    Args:
+        chosen: the options.
+        connect: where vehicles are; empty: where they were.
 
     Raises:
         LinkError: nobody answered, or a port is taken.
+        MissionError: a signing key cannot be had.
     """
-    options = RecoverOptions(tuple(chosen.connect or ()), chosen.wait, chosen.logs, chosen.state)
+    options = RecoverOptions(connect, chosen.wait, chosen.logs, chosen.state, tuple(chosen.signing_key or ()))
     with asyncio.Runner(loop_factory=lambda: make_loop(1.0)) as runner:
         result = runner.run(recover(options, [_Told()]))
     _show(result)

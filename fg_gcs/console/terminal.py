@@ -311,6 +311,11 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
         ("bad_bytes", "bytes that were no MAVLink"),
         ("unknown_messages", "unknown messages"),
         ("refused", "datagrams of floods"),
+        ("unsigned", "frames without a signature"),
+        ("forged", "frames signed with another key"),
+        ("replayed", "frames that came again, or too late"),
+        ("not_forwarded", "frames that a receiver missed"),
+        ("commands_dropped", "commands of other programs"),
     ):
         if summary.get(key):
             lines.append((name, f"{summary[key]} dropped"))

@@ -28,7 +28,8 @@ from fg_gcs.flight.motions import SwarmSetpoint
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Endpoint, Kind
-from fg_gcs.link.router import Router, Routes
+from fg_gcs.link.router import Router
+from fg_gcs.link.routes import Routes
 from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.bare import boot_frames

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,14 +41,17 @@ from fg_gcs.flight.policy import (
 from fg_gcs.flight.preparation import prepare, vehicle_limits
 from fg_gcs.flight.safety import Bounds
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
+from fg_gcs.flight.signing_setup import set_up_signing
 from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.supervisor import Duty, Supervisor, bystander
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
 from fg_gcs.flight.watch import Watch
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Endpoint
-from fg_gcs.link.router import Counters, Router
+from fg_gcs.link.counters import Counters
+from fg_gcs.link.endpoint import Endpoint, places
+from fg_gcs.link.forwarding import Forwards
+from fg_gcs.link.router import Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.by_themselves import LEAST_M
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, plan_figures
@@ -55,6 +59,7 @@ from fg_gcs.record.write.kept_parameters import KeptParameters
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
 from fg_gcs.wire.phases import Phase
+from fg_gcs.wire.signing import Signing
 
 STREAMER_DOG_S = 0.2  # without a sign of life a task hangs: what streams
 WATCH_DOG_S = 0.5  # what watches, and what brings vehicles down
@@ -75,6 +80,8 @@ class Setup(NamedTuple):
     stopwatch: Callable[[], float]  # seconds, for planning times
     substitutes: Substitutes = Substitutes()  # for the sources of sightings that the mission names
     kept: KeptParameters | None = None  # where users' own values of parameters are kept while they are changed
+    signing: Mapping[str, Signing] = MappingProxyType({})  # by network, see `Router.open`
+    forwards: Forwards | None = None  # who else gets telemetry
 
 
 @dataclass
@@ -177,10 +184,11 @@ class Director:
         """
         networks = self._setup.networks
         wanted = self._wanted()
+        hearer, setup = self._link_recorder, self._setup
         router = self._router = await Router.open(
-            networks, on_frame=self._link_recorder.on_frame, tap=self._link_recorder.tap
+            networks, on_frame=hearer.on_frame, tap=hearer.tap, signing=setup.signing, forwards=setup.forwards
         )
-        self.journal.event("open", f"listening at {_places(networks)}")
+        self.journal.event("open", places(networks))
         supervisor = Supervisor(self._report, self.journal, self.around)
         try:
             with short_collections():
@@ -196,8 +204,8 @@ class Director:
             self.result.died = tuple(name for name, _ in supervisor.deaths)
             self.journal.drain(router, self.fleet.vehicles if self.fleet else ())
             self.result.stages = self.journal.stages
-            self.result.counters = router.counters
             router.close()
+            self.result.counters = router.counters  # with what still waited to be forwarded
             if self.target_follower is not None:
                 self.target_follower.close()
                 self.result.tracking = self.target_follower.tracking
@@ -435,6 +443,8 @@ class Director:
                         raise
                     self.journal.event("notice", f"{error}; others fly instead")
                     continue
+                for signing in self._setup.signing.values():
+                    signing.rely()
                 return fleet, await self._prepare(fleet, failsafes)
 
     async def _connect(
@@ -449,6 +459,7 @@ class Director:
             self.result.vehicles = tuple(self.fleet.row_of)
             kinds = sorted({vehicle.profile.name for vehicle in found})
             self.journal.event("vehicles", f"{vehicles_named(self.fleet.row_of)} answered ({', '.join(kinds)})")
+            await set_up_signing(self.fleet, setup.signing, self.journal)
         return self.fleet
 
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
@@ -586,9 +597,3 @@ class _Decision(NamedTuple):
 
     response: Response
     text: str
-
-
-def _places(networks: Mapping[str, tuple[Endpoint, ...]]) -> str:
-    """Return where vehicles are expected, with the networks' names if there are several."""
-    texts = {name: ", ".join(map(str, endpoints)) for name, endpoints in networks.items()}
-    return "; ".join(f"{name}: {text}" for name, text in texts.items()) if len(texts) > 1 else "".join(texts.values())

@@ -70,7 +70,7 @@ async def discover(
             break
     tried = ", ".join(str(endpoint) for endpoints in networks.values() for endpoint in endpoints)
     if not router.vehicles:
-        raise LinkError(f"no vehicle answered within {wait_s:g} s at {tried}; is it running and sending there?")
+        raise LinkError(f"no vehicle answered within {wait_s:g} s at {tried}; {_why_nobody(router)}")
     armed = [vehicle.address for vehicle in router.vehicles.values() if vehicle.armed and wanted is None]
     taken = f" (armed already: {vehicles_named(armed)})" if armed else ""
     answered = f"only {vehicles_named(router.vehicles)} answered within {wait_s:g} s at {tried}{taken}"
@@ -120,6 +120,14 @@ def _why_not(vehicle: Vehicle, unready: Collection[VehicleAddress]) -> tuple[str
     if vehicle.phase is Phase.LOST:
         return _SILENT
     return _UNREADY if vehicle.address in unready else None
+
+
+def _why_nobody(router: Router) -> str:
+    """Return what may be the reason that no vehicle was heard."""
+    counters = router.counters
+    refused = {"unsigned": counters.unsigned, "signed with another key": counters.forged, "too old": counters.replayed}
+    told = ", ".join(f"{count} frames {how}" for how, count in refused.items() if count)
+    return f"what came was refused: {told}" if told else "is it running and sending there?"
 
 
 def _settling_s(

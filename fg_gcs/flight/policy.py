@@ -171,8 +171,8 @@ ROWS: Final[Mapping[FaultKind, Row]] = MappingProxyType(
             "the tracking error",
         ),
         FaultKind.TAKEN: Row(
-            "somebody else has changed a vehicle's mode",
-            "HEARTBEAT or CURRENT_MODE",
+            "somebody else has changed a vehicle's mode, or commands it by `--forward` where the mission allows that",
+            "HEARTBEAT or CURRENT_MODE; the command",
             "0.5 s",
             Rung.HOME,
             Care.LEAVE,

@@ -105,6 +105,13 @@ class CounterSnapshot:
     errors: int
     late_ticks: int
     refused: int = 0
+    unsigned: int = 0  # frames not taken in a network with a key: without a signature
+    forged: int = 0  # likewise, signed with another key
+    replayed: int = 0  # likewise, with a time stamp that came before, or is too old
+    forwarded: int = 0  # frames of vehicles passed on to other programs
+    not_forwarded: int = 0  # those that such a program missed
+    commands_passed: int = 0  # what such programs said to vehicles and was passed on
+    commands_dropped: int = 0  # what was not
     gated: int = 0  # setpoints that the last gate changed, braked or held back
 
 

@@ -22,7 +22,7 @@ from fg_gcs.flight.gate import Change, Gate
 from fg_gcs.flight.motions import Braking, Motion, SwarmSetpoint
 from fg_gcs.flight.yaw_limiter import YawRateLimiter
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.router import Routes
+from fg_gcs.link.routes import Routes
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.setpoint import NUMBERS, SetpointRound

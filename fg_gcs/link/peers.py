@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Final
 
-from fg_gcs.link.endpoint import Address, Kind, Wire
+from fg_gcs.link.endpoint import Address, Endpoint, Wire
 from fg_gcs.wire.address import VehicleAddress
 from fg_gcs.wire.codec import Codec
 from fg_gcs.wire.framing import Sender
+from fg_gcs.wire.signing import Signature
 from fg_gcs.wire.vehicle import Vehicle
 
 MOST_STRANGERS: Final = 256  # addresses without a vehicle that are remembered; the one heard longest ago goes first
@@ -83,12 +85,12 @@ class Peer:
 
     def __post_init__(self) -> None:
         """Make the decoder that the wire needs."""
-        self.codec = Codec(datagrams=self.wire.endpoint.kind is not Kind.TCP)
+        self.codec = Codec(datagrams=not self.wire.endpoint.kind.is_stream)
         self.budget = TokenBucket(VEHICLE_BURST_BYTES)
 
     @property
     def name(self) -> str:
-        """Its address for people."""
+        """Its address for people; a device has a rate in place of a port."""
         host, port = self.address[:2]
         return f"{host}:{port}"
 
@@ -96,11 +98,15 @@ class Peer:
 class Peers:
     """The addresses that are known: those that count for as long as they do, and of the strangers the latest.
 
+    Args:
+        signatures: What signs our frames, by the endpoint; none: those there are not signed.
+
     Attributes:
         known: Those that we call first, and those with vehicles that count, by wire (its id) and address.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, signatures: Mapping[Endpoint, Signature] = MappingProxyType({})) -> None:
+        self._signatures = signatures
         self.known: dict[tuple[int, Address], Peer] = {}
         self._strangers: dict[tuple[int, Address], Peer] = {}  # the one heard longest ago first
         self._strangers_budget = TokenBucket(STRANGERS_BURST_BYTES)
@@ -112,10 +118,14 @@ class Peers:
         yield from self.known.values()
         yield from self._strangers.values()
 
+    def new(self, network: str, wire: Wire, address: Address) -> Peer:
+        """Return a peer that was never heard before."""
+        return Peer(network, wire, address, Sender(signature=self._signatures.get(wire.endpoint)))
+
     def stranger(self, network: str, wire: Wire, address: Address) -> Peer:
         """Return the peer at an address that is not known; the stranger heard longest ago may be forgotten for it."""
         key = (id(wire), address)
-        peer = self._strangers.pop(key, None) or Peer(network, wire, address)
+        peer = self._strangers.pop(key, None) or self.new(network, wire, address)
         self._strangers[key] = peer
         if len(self._strangers) > MOST_STRANGERS:
             self._forget(self._strangers.pop(next(iter(self._strangers))))

@@ -4,23 +4,26 @@ import asyncio
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 from functools import partial
+from types import MappingProxyType
 from typing import Final, NamedTuple, Self, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire, open_wire
+from fg_gcs.link.counters import Counters
+from fg_gcs.link.endpoint import Address, Change, Endpoint, Wire
+from fg_gcs.link.forwarding import ForwardCounts, Forwarder, Forwards
+from fg_gcs.link.opening import open_wire
 from fg_gcs.link.peers import MOST_WAITING, Peer, Peers
+from fg_gcs.link.routes import Routes
 from fg_gcs.wire import commands
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import profile_of
 from fg_gcs.wire.codec import GCS_SYSTEM, Frame, Message, is_known
-from fg_gcs.wire.framing import Frames, Sender, laid_out, same_for_all
+from fg_gcs.wire.framing import Frames, as_sent, laid_out, same_for_all
 from fg_gcs.wire.messages import HEARTBEAT
+from fg_gcs.wire.signing import LINK_IDS, SETUP_SIGNING, Refusal, Signature, Signing
 from fg_gcs.wire.timing import timesync
 from fg_gcs.wire.vehicle import LOST_AFTER_S, Vehicle
 
@@ -49,38 +52,6 @@ class Direction(Enum):
 
 Tap = Callable[[Direction, Sequence[bytes] | Frames, float], None]  # frames one by one, or in the rows of an array
 OnFrame = Callable[[Vehicle, Frame, float], None]
-
-
-class Counters(NamedTuple):
-    """What went through a router so far.
-
-    Attributes:
-        frames_in: Good frames, unknown messages included.
-        frames_out: Frames sent.
-        bad_bytes: Bytes that belonged to no good frame.
-        unknown_messages: Frames whose message the dialect does not know.
-        dropped: Frames not sent because the way out was full or closed.
-        unroutable: Frames for a vehicle that was never heard.
-        clashes: Frames ignored because their vehicle is already heard from elsewhere in its network.
-        errors: Errors the system reported for our sockets.
-        refused: Datagrams that were not read, or not to their end, because their sender sends too much, and those that
-            the system has dropped before.
-    """
-
-    frames_in: int
-    frames_out: int
-    bad_bytes: int
-    unknown_messages: int
-    dropped: int
-    unroutable: int
-    clashes: int
-    errors: int
-    refused: int
-
-    @classmethod
-    def none(cls) -> Self:
-        """Return those of a router that never opened."""
-        return cls(*[0] * len(cls._fields))
 
 
 class _Clash(NamedTuple):
@@ -112,33 +83,6 @@ class _Gate:
     timer: asyncio.TimerHandle | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Routes:
-    """The ways to some vehicles, each to where its vehicle was heard.
-
-    Attributes:
-        peers: Where they lead.
-        senders: What numbers the frames to each of them; for `fg_gcs.wire.setpoint.SetpointRound`.
-        rounds: For each wire the vehicles' places among the addresses (None: all of them), and what sends to them.
-    """
-
-    peers: Sequence[Peer]
-    senders: list[Sender]
-    rounds: Sequence[tuple[NDArray[np.int_] | None, Callable[[Frames], None]]]
-
-    @classmethod
-    def of(cls, peers: Sequence[Peer]) -> Self:
-        """Return the ways to these peers."""
-        by_wire: dict[Wire, list[int]] = {}
-        for place, peer in enumerate(peers):
-            by_wire.setdefault(peer.wire, []).append(place)
-        rounds = [
-            (None if len(by_wire) == 1 else np.array(places), wire.round_to([peers[place].address for place in places]))
-            for wire, places in by_wire.items()
-        ]
-        return cls(peers, [peer.sender for peer in peers], rounds)
-
-
 class _Called(NamedTuple):
     """Who is called all the time.
 
@@ -160,14 +104,24 @@ class Router:
         notices: Lines for people, such as a lost connection, or two vehicles with one address (said once).
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, on_frame: OnFrame | None, tap: Tap | None) -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        on_frame: OnFrame | None,
+        tap: Tap | None,
+        signing: Mapping[str, Signing] = MappingProxyType({}),
+        signatures: Mapping[Endpoint, Signature] = MappingProxyType({}),
+    ) -> None:
         self.vehicles: dict[VehicleAddress, Vehicle] = {}
         self.notices: deque[str] = deque(maxlen=64)
         self.turned_s = -math.inf
         self._on_frame = on_frame
         self._tap = tap
         self._wires: list[Wire] = []
-        self._peers = Peers()
+        self._signing = signing
+        self._peers = Peers(signatures)
+        self._forwarder: Forwarder | None = None
+        self._not_taken: set[tuple[str, Refusal]] = set()  # of which people know
         self._known = self._peers.known
         self._asked = _Called((), ())  # for their time, by whoever uses this
         self._unfinished: deque[Peer] = deque()  # those of whose bytes some wait to be read on
@@ -184,7 +138,13 @@ class Router:
 
     @classmethod
     async def open(
-        cls, networks: Mapping[str, Iterable[Endpoint]], *, on_frame: OnFrame | None = None, tap: Tap | None = None
+        cls,
+        networks: Mapping[str, Iterable[Endpoint]],
+        *,
+        on_frame: OnFrame | None = None,
+        tap: Tap | None = None,
+        signing: Mapping[str, Signing] = MappingProxyType({}),
+        forwards: Forwards | None = None,
     ) -> Self:
         """Open all endpoints of all networks.
 
@@ -192,19 +152,32 @@ class Router:
             networks: Where vehicles are to be found, by the name of the network.
             on_frame: Gets every message of every vehicle, after the vehicle took it, with the loop time [s].
             tap: Gets all frames of both directions, unknown ones included, together those that pass together, with the
-                loop time [s]: the recorder.
+                loop time [s]: the recorder. A message that gives a vehicle a key is not among them.
+            signing: What signs and judges the frames of a network, by its name; none: they are not signed, and whatever
+                comes there is taken.
+            forwards: Who else gets telemetry.
 
         Raises:
             LinkError: A port is taken, or a connection is refused; nothing stays open.
         """
-        router = cls(asyncio.get_running_loop(), on_frame, tap)
+        all_endpoints = {name: tuple(endpoints) for name, endpoints in networks.items()}
+        places = ((name, endpoint) for name, endpoints in all_endpoints.items() for endpoint in endpoints)
+        signatures = {
+            endpoint: signing[name].signature(number % LINK_IDS)
+            for number, (name, endpoint) in enumerate(places)
+            if name in signing
+        }
+        router = cls(asyncio.get_running_loop(), on_frame, tap, signing, signatures)
         try:
-            for network, endpoints in networks.items():
+            for network, endpoints in all_endpoints.items():
                 for endpoint in endpoints:
                     wire = await open_wire(endpoint, partial(router._receive, network), router._changed)
                     router._wires.append(wire)
                     if wire.remote is not None:
-                        router._peers.settle(Peer(network, wire, wire.remote))
+                        router._peers.settle(router._peers.new(network, wire, wire.remote))
+            if forwards is not None:
+                router._forwarder = Forwarder(forwards, router.vehicles, router._pass_on, router.notices, signing)
+                await router._forwarder.open()
         except BaseException:
             router.close()
             raise
@@ -223,6 +196,10 @@ class Router:
             clashes=self._clashes,
             errors=sum(wire.errors for wire in self._wires),
             refused=self._refused + sum(wire.unread for wire in self._wires),
+            unsigned=self._count_not_taken(Refusal.UNSIGNED),
+            forged=self._count_not_taken(Refusal.FORGED),
+            replayed=self._count_not_taken(Refusal.REPLAYED),
+            **asdict(ForwardCounts() if self._forwarder is None else self._forwarder.counts),
         )
 
     @property
@@ -258,19 +235,22 @@ class Router:
             routes: The ways to the vehicles, see `routes`.
             frames: Packed by the routes' senders, shape (V, size).
         """
-        for places, send in routes.rounds:
-            send(frames if places is None else frames[places])
+        for places, is_shorter, send in routes.rounds:
+            own = frames if places is None else frames[places]
+            own = as_sent(own) if is_shorter else own
+            send(own)
+            if self._tap is not None and len(own):
+                self._tap(Direction.OUT, own, self._time())
         self._frames_out += len(frames)
-        if self._tap is not None and len(frames):
-            self._tap(Direction.OUT, frames, self._time())
 
     def send_message(self, address: VehicleAddress, message: Message) -> None:
         """Pack a message and send it to one vehicle."""
         peer = self._routes.get(address)
         if peer is None:
             self._unroutable += 1
-        else:
-            self._send(peer, peer.sender.pack(message))
+            return
+        is_secret = message.get_msgId() == SETUP_SIGNING  # a key stays with who has it
+        self._send(peer, peer.sender.pack(message), None if is_secret else self._tap)
 
     async def keep_alive(self, period_s: float = KEEP_ALIVE_S) -> None:
         """Send heartbeats, ask for the time and notice silent vehicles, for ever: run it as a task.
@@ -320,14 +300,20 @@ class Router:
     def close(self) -> None:
         """Close all sockets; may be called twice. What was not read yet is not read any more."""
         self._unfinished.clear()
+        if self._forwarder is not None:
+            self._forwarder.close()
         for wire in self._wires:
             wire.close()
 
-    def _send(self, peer: Peer, data: bytes) -> None:
+    def _send(self, peer: Peer, data: bytes, tap: Tap | None) -> None:
         peer.wire.send(data, peer.address)
         self._frames_out += 1
-        if self._tap is not None:
-            self._tap(Direction.OUT, (data,), self._time())
+        if tap is not None:
+            tap(Direction.OUT, (data,), self._time())
+
+    def _pass_on(self, address: VehicleAddress, data: bytes) -> None:
+        """Send a vehicle what another program says to it (the forwarder calls this)."""
+        self._send(self._routes[address], data, self._tap)
 
     def _ask_for_time(self, routes: Routes) -> None:
         now_s = self._time()
@@ -450,7 +436,25 @@ class Router:
             self._refusal_told = True
             self.notices.append(f"too much comes from strangers such as {peer.name}: only heartbeats are read of it")
 
+    def _count_not_taken(self, refusal: Refusal) -> int:
+        return sum(signing.counts[refusal] for signing in self._signing.values())
+
+    def _judged(self, signing: Signing, peer: Peer, frames: list[Frame]) -> list[Frame]:
+        """Return the frames that are signed as they should be; tell people of others, once of each kind."""
+        good = []
+        for frame in frames:
+            refusal = signing.refusal(frame)
+            if refusal is None:
+                good.append(frame)
+            elif (peer.network, refusal) not in self._not_taken:
+                self._not_taken.add((peer.network, refusal))
+                self.notices.append(f"what comes from {peer.name} is {refusal.value}: it is not taken")
+        return good
+
     def _take(self, peer: Peer, frames: list[Frame], now_s: float) -> None:
+        signing = self._signing.get(peer.network)
+        if signing is not None:
+            frames = self._judged(signing, peer, frames)
         if self._tap is not None and frames:
             self._tap(Direction.IN, [frame.raw for frame in frames], now_s)
         for frame in frames:
@@ -463,6 +467,8 @@ class Router:
                     vehicle.handle(frame, now_s)
                     if self._on_frame is not None:
                         self._on_frame(vehicle, frame, now_s)
+        if self._forwarder is not None:
+            self._forwarder.take(peer.network, frames)
 
     def _found(self, peer: Peer, frame: Frame, now_s: float) -> Vehicle | None:
         """Return the vehicle of an autopilot that was not heard from this peer before; a heartbeat makes one."""
@@ -485,7 +491,8 @@ class Router:
         """Tell whether a vehicle speaks from a new address now; while the old one is alive, it is another vehicle."""
         before = self._routes[vehicle.address]
         again = before.wire is peer.wire and before.address == peer.address  # it was forgotten among strangers
-        if again or (now_s - vehicle.heard_at_s > LOST_AFTER_S and frame.message_id == HEARTBEAT):
+        is_gone = now_s - vehicle.heard_at_s > LOST_AFTER_S or not before.wire.reaches(before.address)
+        if again or (is_gone and frame.message_id == HEARTBEAT):
             before.vehicles.pop(vehicle.system_id, None)
             if not again:
                 self._peers.settle(before)

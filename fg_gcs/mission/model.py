@@ -49,6 +49,10 @@ class SwarmTable(MissionTable):
         description="different whole numbers from 1 to 250, one for each vehicle; with several networks the network's "
         'name before each, as in "west/7" (default: 1, 2, 3, ...)',
     )
+    forward_commands: bool = Field(
+        default=False,
+        description="true or false, whether what programs say that --forward names reaches vehicles (default false)",
+    )
 
     def members(self) -> tuple[tuple[str, int], ...]:
         """Return network and system id of every vehicle, ascending; the network is "" where none is named."""
@@ -352,7 +356,7 @@ class Mission(MissionTable):
     networks: dict[NetworkName, list[VehicleEndpoint]] | None = Field(
         default=None,
         description='a table of name = ["ENDPOINT", ...]; names of 1 to 16 of a-z, 0-9, - and _, endpoints '
-        "udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT",
+        "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD",
     )
     formation: FormationTable = Field(description="a table")
     target: TargetTable | None = Field(default=None, description="a table")

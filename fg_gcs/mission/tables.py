@@ -33,7 +33,9 @@ Seed = Annotated[int, Field(ge=0, le=2**63)]
 SystemId = Annotated[int, Field(ge=1, le=250)]
 NetworkName = Annotated[str, Field(pattern=r"^[a-z0-9_-]{1,16}$")]
 NetworkSystemId = Annotated[str, Field(pattern=r"^[a-z0-9_-]{1,16}/(?:[1-9]\d?|1\d\d|2[0-4]\d|250)$")]
-VehicleEndpoint = Annotated[str, Field(pattern=r"^(?:udp|udpin|udpout|tcp):(?:[^:\s]+:)?\d{1,5}$")]
+VehicleEndpoint = Annotated[
+    str, Field(pattern=r"^(?:(?:udp|udpin|udpout|tcp|tcpin):(?:[^:\s]+:)?\d{1,5}|serial:/[^\s=]+:\d{1,7})$")
+]
 Point = tuple[Finite, Finite, Finite]
 Ground = tuple[Finite, Finite]
 FilePath = Annotated[str, Field(min_length=1, max_length=1000)]  # absolute, or from the mission's folder

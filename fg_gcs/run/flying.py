@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import Enum
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.target_follower import warm_up
 from fg_gcs.link.clock import make_loop, speed_of
 from fg_gcs.link.endpoint import Endpoint, parse_networks
+from fg_gcs.link.forwarding import Forwards, parse_forwards
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
 from fg_gcs.record.read.run import RunError
@@ -28,15 +30,31 @@ from fg_gcs.record.report.report import write_report
 from fg_gcs.record.write.kept_parameters import KeptParameters, state_folder
 from fg_gcs.record.write.recorder import REPORT, Recorder, make_folder
 from fg_gcs.run.observing import Audience, Observer
-from fg_gcs.run.simulators import TRUTH, SimulatorWish, check_simulator, free_port, simulated, wish_of
+from fg_gcs.run.signing import key_files, keys_in, signing_with
+from fg_gcs.run.simulators import (
+    TRUTH,
+    VIRTUAL_EPOCH_S,
+    SimulatorWish,
+    check_simulator,
+    free_port,
+    simulated,
+    wish_of,
+)
 from fg_gcs.run.summary import read_truth, summary_of
 from fg_gcs.scenario.motions import TrueMotion
+from fg_gcs.wire.address import MAIN
 
 VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time no other program is there
-VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed one keeps a run's files the same
 
 
 Networks = Mapping[str, tuple[Endpoint, ...]]  # by name
+
+
+class _Extras(NamedTuple):
+    """What a flight's links have besides."""
+
+    keys: Mapping[str, bytes]  # by network
+    forwards: Forwards | None
 
 
 @dataclass(frozen=True)
@@ -61,6 +79,11 @@ class FlyOptions:
         state: folder in which users' own values of parameters are kept while a flight changes them; None: the user's
             state folder, and nowhere with the built-in simulator or in virtual time: those vehicles end with the run.
         serve_snapshots: offer snapshots to other programs on a socket in the run's folder; never in virtual time.
+        signing_keys: files of MAVLink 2 keys, each ``[NAME=]FILE``, NAME being a network's; nothing unsigned is taken
+            in a network with a key, and the built-in simulator has it, too.
+        forward: who else gets telemetry, each ``[NAME=]udpout:HOST:PORT`` or ``[NAME=]tcp:HOST:PORT``, NAME being the
+            network whose vehicles it sees.
+        signing_setup: vehicles do not have the keys yet: they are given them, and must sign before anything is armed.
     """
 
     connect: tuple[str, ...] = ()
@@ -76,6 +99,9 @@ class FlyOptions:
     snapshot_hz: float = 25.0
     state: Path | None = None
     serve_snapshots: bool = True
+    signing_keys: tuple[str, ...] = ()
+    signing_setup: bool = False
+    forward: tuple[str, ...] = ()
     write_report: bool = True
 
 
@@ -149,11 +175,17 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
     """
     chosen = options or FlyOptions()
     networks = _networks(mission, chosen)
+    forwards = _forwards(mission, chosen, networks)
+    files = key_files(chosen.signing_keys, networks or (MAIN,))
+    keys = keys_in(files)
+    if chosen.signing_setup and not keys:
+        raise MissionError("--signing-setup: there is no key to give to vehicles; name one by --signing-key")
     wish = None
     if networks and (chosen.faults or chosen.impairments or chosen.dynamics):
         raise MissionError("dynamics, faults and impairments are the built-in simulator's: fly without --connect")
     if not networks:
         wish = wish_of(mission, chosen.autopilot, chosen.dynamics, chosen.faults, chosen.impairments)
+        wish = replace(wish, signing_key=None if chosen.signing_setup else files.get(MAIN))
         check_simulator(mission, wish)
     loop = asyncio.get_running_loop()
     await asyncio.to_thread(prepare, mission)
@@ -166,7 +198,7 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
         audience = await stack.enter_async_context(
             Audience.open(observers, recorder, folder if chosen.serve_snapshots and not virtual else None)
         )
-        director, error = await _flown(mission, chosen, networks, wish, recorder, audience)
+        director, error = await _flown(mission, chosen, networks, wish, _Extras(keys, forwards), recorder, audience)
         result = await asyncio.to_thread(_finished, mission, chosen, director, error, recorder, loop.time())
     if isinstance(error, asyncio.CancelledError):
         raise error
@@ -229,8 +261,9 @@ def _networks(mission: Mission, options: FlyOptions) -> Networks:
     for name in ("wait_s", "snapshot_hz"):
         if not 0.0 < getattr(options, name) < math.inf:
             raise MissionError(f"{name} = {getattr(options, name)}; accepted: a number above 0")
-    if isinstance(options.connect, str):
-        raise MissionError(f"connect = {options.connect!r}; accepted: a tuple of endpoints")
+    for name, accepted in (("connect", "endpoints"), ("forward", "endpoints"), ("signing_keys", "files")):
+        if isinstance(getattr(options, name), str):
+            raise MissionError(f"{name} = {getattr(options, name)!r}; accepted: a tuple of {accepted}")
     unknown = {*options.motions, *options.sightings} - {target.name for target in mission.targets or ()}
     if unknown:
         raise MissionError(f"{mission.path}: no target is called {sorted(unknown)[0]!r}, so it can have no source")
@@ -241,6 +274,19 @@ def _networks(mission: Mission, options: FlyOptions) -> Networks:
         return parse_networks(options.connect or mission.connections())
     except LinkError as error:
         raise MissionError(f"{what}: {error}") from error
+
+
+def _forwards(mission: Mission, options: FlyOptions, networks: Networks) -> Forwards | None:
+    """Return who else gets telemetry; None: nobody.
+
+    Raises:
+        MissionError: an option is at fault.
+    """
+    try:
+        receivers = parse_forwards(options.forward, networks or {MAIN: ()})
+    except LinkError as error:
+        raise MissionError(f"--forward: {error}") from error
+    return Forwards(receivers, mission.swarm.forward_commands) if receivers else None
 
 
 def _check_motion(target: str, motion: TrueMotion) -> None:
@@ -276,6 +322,7 @@ async def _flown(
     options: FlyOptions,
     networks: Networks,
     wish: SimulatorWish | None,
+    extras: _Extras,
     recorder: Recorder,
     audience: Audience,
 ) -> tuple[Director, Exception | asyncio.CancelledError | None]:
@@ -283,7 +330,7 @@ async def _flown(
     loop = asyncio.get_running_loop()
     async with AsyncExitStack() as stack:
         try:
-            setup = await stack.enter_async_context(_surroundings(mission, options, networks, wish, recorder))
+            setup = await stack.enter_async_context(_surroundings(mission, options, networks, wish, extras, recorder))
         except FgError as error:  # the simulator did not start
             recorder.event(loop.time(), "error", str(error))
             return Director(mission, Setup(networks, 0.0, True, time.perf_counter), recorder), error
@@ -325,7 +372,12 @@ async def _unhurt(director: Director) -> None:
 
 @asynccontextmanager
 async def _surroundings(
-    mission: Mission, options: FlyOptions, networks: Networks, wish: SimulatorWish | None, recorder: Recorder
+    mission: Mission,
+    options: FlyOptions,
+    networks: Networks,
+    wish: SimulatorWish | None,
+    extras: _Extras,
+    recorder: Recorder,
 ) -> AsyncIterator[Setup]:
     """Start what has to be simulated; yield how the flight is connected to it.
 
@@ -339,14 +391,24 @@ async def _surroundings(
     if wish is not None:
         text = f"starting {mission.swarm.vehicles} simulated {wish.autopilot} vehicles"
         recorder.event(loop.time(), "simulator", text)
-    async with simulated(mission, wish, port, targets_port, recorder.folder) as simulators:
+    folder = None if options.state is None and (own or virtual) else options.state or state_folder()
+
+    def warn(text: str) -> None:
+        recorder.event(loop.time(), "warning", text)
+
+    async with (
+        simulated(mission, wish, port, targets_port, recorder.folder) as simulators,
+        signing_with(
+            extras.keys, VIRTUAL_EPOCH_S if virtual else time.time(), folder, warn, sets_up=options.signing_setup
+        ) as signing,
+    ):
 
         def told(_: float, kind: str, text: str) -> None:
             if kind == "stage":
                 simulators.begin_stage(text)
 
         recorder.listeners.append(told)
-        kept = _kept(options, own or virtual, recorder)
+        kept = _kept(folder, warn)
         yield Setup(
             parse_networks([f"udpin:127.0.0.1:{port}"]) if own else networks,
             options.wait_s,
@@ -354,20 +416,21 @@ async def _surroundings(
             time.perf_counter,
             Substitutes(f"udpin:127.0.0.1:{targets_port}", options.motions, options.sightings),
             kept,
+            signing,
+            extras.forwards,
         )
         if kept is not None:
             kept.close()
 
 
-def _kept(options: FlyOptions, made_up: bool, recorder: Recorder) -> KeptParameters | None:
+def _kept(folder: Path | None, warn: Callable[[str], None]) -> KeptParameters | None:
     """Open where users' own parameters are kept; None where nothing has to outlive the run, or the disk refuses."""
-    if options.state is None and made_up:
+    if folder is None:
         return None
-    folder = options.state or state_folder()
     try:
         return KeptParameters(folder)
     except OSError as error:
-        recorder.event(asyncio.get_running_loop().time(), "warning", f"{folder}: {error.strerror or error}")
+        warn(f"{folder}: {error.strerror or error}")
         return None
 
 

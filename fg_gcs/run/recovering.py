@@ -6,9 +6,10 @@ import asyncio
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -26,6 +27,8 @@ from fg_gcs.plan.limits import Limits, Rules
 from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, is_alive, read_kept, state_folder
 from fg_gcs.record.write.recorder import MISSION, Recorder, make_folder
 from fg_gcs.run.observing import Observer
+from fg_gcs.run.signing import key_files, keys_in, signing_with
+from fg_gcs.run.simulators import VIRTUAL_EPOCH_S
 from fg_gcs.wire.address import MAIN
 from fg_gcs.wire.commands import request_version, write_parameter
 from fg_gcs.wire.dialogue import Question
@@ -52,12 +55,14 @@ class RecoverOptions:
         wait_s: how long to wait for their heartbeats [s].
         logs: the folder of what is done is made in here.
         state: where parameters are kept; None: in the user's own state folder.
+        signing_keys: files of MAVLink 2 keys, each ``[NAME=]FILE``, as the run had them.
     """
 
     connect: tuple[str, ...] = ()
     wait_s: float = 5.0
     logs: Path = Path("logs")
     state: Path | None = None
+    signing_keys: tuple[str, ...] = ()
 
 
 class Recovered(NamedTuple):
@@ -106,6 +111,7 @@ async def recover(options: RecoverOptions | None = None, observers: Sequence[Obs
 
     Raises:
         LinkError: no vehicle answered, or a port is taken: by another ground station that is alive, for example.
+        MissionError: a signing key cannot be had.
     """
     chosen = options or RecoverOptions()
     state = chosen.state or state_folder()
@@ -114,15 +120,19 @@ async def recover(options: RecoverOptions | None = None, observers: Sequence[Obs
     if alive is not None:
         return RecoverResult(alive=alive.run)
     networks = parse_networks(chosen.connect or sorted({_endpoint(one) for one in kept}) or (DEFAULT,))
+    keys = keys_in(key_files(chosen.signing_keys, networks))
     loop = asyncio.get_running_loop()
     folder = make_folder(chosen.logs, "recover", datetime.now())
     virtual = math.isinf(speed_of(loop))
-    with ExitStack() as stack:
+    async with AsyncExitStack() as stack:
         recorder = stack.enter_context(Recorder(folder, "", loop.time(), time.time(), {}, in_thread=not virtual))
         recorder.listeners.extend(_heard_by(observer) for observer in observers)
         parameters = stack.enter_context(KeptParameters(state))
         journal = Journal(recorder, loop.time)
-        router = await Router.open(networks)
+        epoch_s = VIRTUAL_EPOCH_S if virtual else time.time()
+        warn = partial(journal.event, "warning")
+        signing = await stack.enter_async_context(signing_with(keys, epoch_s, state, warn))
+        router = await Router.open(networks, signing=signing)
         stack.callback(router.close)
         beating = asyncio.ensure_future(router.keep_alive())
         stack.callback(beating.cancel)

@@ -26,9 +26,10 @@ from fg_gcs.link.clock import speed_of
 from fg_gcs.mission.model import Mission
 from fg_gcs.mission.target_tables import VehicleSource
 from sitl_mock import Simulator as Simulator
-from sitl_mock import SimulatorOptions, parse_fault, parse_impairment, parse_target
+from sitl_mock import SimulatorOptions, parse_fault, parse_impairment, parse_target, read_key
 from sitl_mock.autopilot.profile import Manners
 
+VIRTUAL_EPOCH_S = 1_700_000_000.0  # in virtual time there is no now; a fixed one keeps a run's files the same
 READY_S = 20.0  # it needs one second; the rest is for a machine that is busy with other things
 STOP_S = 5.0  # to close its sockets after its input has ended
 TRUTH = "simulated.json"  # in the run's folder: what vehicles truly hit, and how close they came
@@ -46,12 +47,14 @@ class SimulatorWish:
         dynamics: how they fly.
         faults: tables of what goes wrong inside them, as the simulator reads them.
         impairments: likewise, on their links.
+        signing_key: the file of the key that they have; None: they have none.
     """
 
     autopilot: str
     dynamics: str
     faults: tuple[Mapping[str, object], ...] = ()
     impairments: tuple[Mapping[str, object], ...] = ()
+    signing_key: Path | None = None
 
 
 def wish_of(
@@ -117,6 +120,8 @@ def options_of(mission: Mission, wanted: SimulatorWish, port: int, truth: Path |
         faults=tuple(map(parse_fault, wanted.faults)),
         impairments=tuple(map(parse_impairment, wanted.impairments)),
         truth=truth,
+        signing_key=None if wanted.signing_key is None else read_key(wanted.signing_key),
+        epoch_s=VIRTUAL_EPOCH_S,
     )
 
 
@@ -319,6 +324,8 @@ def _arguments(mission: Mission, wanted: SimulatorWish, port: int, speed: float,
         "truth": truth,
     }
     switches = [f"--{name.replace('_', '-')}" for name in MANNERS if getattr(mission.simulator, name)]
+    if wanted.signing_key is not None:
+        values["signing-key"] = wanted.signing_key.absolute()
     if not mission.simulator.collisions:
         switches.append("--harmless")
     faults = [f"--fault={json.dumps(fault)}" for fault in wanted.faults]

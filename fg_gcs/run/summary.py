@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fg_gcs.flight.director import FlightResult
-from fg_gcs.link.router import Counters
+from fg_gcs.link.counters import Counters
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import plan_figures
 from fg_gcs.record.evaluate.evaluation import flown_figures

@@ -25,6 +25,8 @@ GCS_SYSTEM: Final = 255  # ArduPilot's GCS failsafe listens to heartbeats of thi
 GCS_COMPONENT: Final = 190  # MAV_COMP_ID_MISSIONPLANNER: PX4 explains a refused OFFBOARD only to this component
 
 MAGIC_V2: Final = 0xFD  # the first byte of a frame of MAVLink 2
+SIGNED: Final = 0x01  # the flag that must be understood of a frame with a signature
+SIGNATURE_BYTES: Final = 13  # link id, time stamp and signature, behind the checksum
 FALSE_START_WORK: Final = 1  # what a byte costs at which no frame begins: some two microseconds
 FRAME_WORK: Final = 8  # what a good frame costs, with all that is done with it
 
@@ -34,8 +36,6 @@ _find_magic: Final = re.compile(b"[\xfd\xfe]").search
 _HEADER_V1_BYTES: Final = 6
 _HEADER_V2_BYTES: Final = 10
 _CHECKSUM_BYTES: Final = 2
-_SIGNED: Final = 0x01
-_SIGNATURE_BYTES: Final = 13
 # Length, flags that must be understood, flags that need not be, sequence, system, component, message id in two parts
 _unpack_v2: Final = Struct("<xBBBBBBHB").unpack_from
 _unpack_v1: Final = Struct("<xBBBBB").unpack_from  # the same without flags
@@ -213,8 +213,8 @@ class Codec:
         end = behind + _CHECKSUM_BYTES
         crc_extra = _CRC_EXTRAS.get(message_id)
         if flags:
-            end += _SIGNATURE_BYTES if flags & _SIGNED else 0
-            if flags != _SIGNED:
+            end += SIGNATURE_BYTES if flags & SIGNED else 0
+            if flags != SIGNED:
                 return self._flagged(buffer, start, behind, end, crc_extra)
         if end > size:
             if self._datagrams:

@@ -1,7 +1,7 @@
-"""Where outgoing MAVLink 2 frames are finished, all of them: sequence number, flags, addresses and checksum.
+"""Where outgoing MAVLink 2 frames are finished, all of them: sequence number, flags, addresses, checksum, signature.
 
 Whoever has a payload gives it to `Sender.finish`, and whoever has those of a whole swarm to a `Round`, so that what
-holds for every frame, such as a signature, has one home.
+holds for every frame has one home.
 """
 
 import struct
@@ -13,9 +13,12 @@ from fastcrc import crc16
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, Message
+from fg_gcs.wire.codec import GCS_COMPONENT, GCS_SYSTEM, SIGNATURE_BYTES, SIGNED, Message
+from fg_gcs.wire.signing import Signature
 
-Frames = NDArray[np.uint8]  # (V, size): whole frames of one kind and size, one a row
+# (V, size): whole frames of one kind and size, one a row. Where only some of them are signed, the others end with zeros
+# in place of a signature, see `as_sent`.
+Frames = NDArray[np.uint8]
 
 HEADER_BYTES: Final = 10
 CHECKSUM_BYTES: Final = 2
@@ -55,11 +58,16 @@ class Sender:
     Args:
         system_id: Our system id.
         component_id: Our component id.
+        signature: What signs them; None: they are not signed.
     """
 
-    def __init__(self, system_id: int = GCS_SYSTEM, component_id: int = GCS_COMPONENT) -> None:
+    def __init__(
+        self, system_id: int = GCS_SYSTEM, component_id: int = GCS_COMPONENT, signature: Signature | None = None
+    ) -> None:
         self.system_id = system_id
         self.component_id = component_id
+        self.signature = signature
+        self.flags = _NO_FLAGS if signature is None else SIGNED
         self._counts, self._place = Counts(1), 0  # around and around: peers count losses by the gaps
 
     def next_sequence(self) -> int:
@@ -85,9 +93,10 @@ class Sender:
         """
         size, sequence = len(payload), self.next_sequence()
         body = (
-            _pack_header(size, _NO_FLAGS, _NO_FLAGS, sequence, self.system_id, self.component_id, message_id) + payload
+            _pack_header(size, self.flags, _NO_FLAGS, sequence, self.system_id, self.component_id, message_id) + payload
         )
-        return _MAGIC + body + _pack_checksum(_checksum(body + crc_extra))
+        frame = _MAGIC + body + _pack_checksum(_checksum(body + crc_extra))
+        return frame if self.signature is None else frame + self.signature.of(frame)
 
     def pack(self, message: Message) -> bytes:
         """Return the frame of ``message``.
@@ -130,14 +139,18 @@ class Round:
     def __init__(self, payloads: Frames, senders: Sequence[Sender], message_id: bytes, crc_extra: bytes) -> None:
         self._senders = senders
         self._counts: Counts | None = None  # once they count side by side
-        self._frames = made = payloads.copy()
+        self._size = size = payloads.shape[1]  # without signatures
+        self._signing = [(row, sender.signature) for row, sender in enumerate(senders) if sender.signature is not None]
+        room = SIGNATURE_BYTES if self._signing else 0
+        self._frames = made = np.pad(payloads, ((0, 0), (0, room)))
         made[:, 0] = _MAGIC[0]
-        made[:, 1] = made.shape[1] - HEADER_BYTES - CHECKSUM_BYTES
-        made[:, 2:4] = _NO_FLAGS
+        made[:, 1] = size - HEADER_BYTES - CHECKSUM_BYTES
+        made[:, 2] = [sender.flags for sender in senders]
+        made[:, 3] = _NO_FLAGS
         made[:, 5] = [sender.system_id for sender in senders]
         made[:, 6] = [sender.component_id for sender in senders]
         made[:, 7:10] = np.frombuffer(message_id, np.uint8)
-        made[:, -2] = crc_extra[0]  # right behind the payload, where the checksum takes it in and then its place
+        made[:, size - CHECKSUM_BYTES] = crc_extra[0]  # behind the payload: the checksum takes it in, then its place
 
     def frames(self) -> Frames:
         """Return new frames, for what is another in this round to be filled in and for `finish`."""
@@ -146,10 +159,15 @@ class Round:
     def finish(self, frames: Frames) -> None:
         """Finish frames in place: what `Sender.finish` does, in one pass."""
         frames[:, 4] = self._numbers()
-        data, size = frames.tobytes(), frames.shape[1]
+        data, width, size = frames.tobytes(), frames.shape[1], self._size
         covered = size - CHECKSUM_BYTES
-        checksums = [_checksum(data[start : start + covered]) for start in range(1, len(data), size)]
-        frames[:, -2:] = np.array(checksums, "<u2").view(np.uint8).reshape(-1, CHECKSUM_BYTES)
+        checksums = [_checksum(data[start : start + covered]) for start in range(1, len(data), width)]
+        frames[:, covered:size] = np.array(checksums, "<u2").view(np.uint8).reshape(-1, CHECKSUM_BYTES)
+        if self._signing:
+            data = frames.tobytes()
+            tails = b"".join(signature.of(data[row * width : row * width + size]) for row, signature in self._signing)
+            rows = slice(None) if len(self._signing) == len(frames) else [row for row, _ in self._signing]
+            frames[rows, size:] = np.frombuffer(tails, np.uint8).reshape(-1, SIGNATURE_BYTES)
 
     def _numbers(self) -> NDArray[np.uint8] | list[int]:
         """Return the next sequence numbers, and count them."""
@@ -163,6 +181,11 @@ class Round:
         numbers = counting.copy()
         counting += 1  # and around
         return numbers
+
+
+def as_sent(frames: Frames) -> Frames:
+    """Return frames of which none is signed, among others that are: without the room for a signature."""
+    return np.ascontiguousarray(frames[:, :-SIGNATURE_BYTES])
 
 
 def same_for_all(message: LaidOut, senders: Sequence[Sender]) -> Frames:

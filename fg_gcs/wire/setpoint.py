@@ -65,6 +65,6 @@ class SetpointRound:
             Whole frames, shape (V, size).
         """
         frames = self._round.frames()
-        frames.view(_LAYOUT)["numbers"] = numbers[:, None]
+        frames[:, : _LAYOUT.itemsize].view(_LAYOUT)["numbers"] = numbers[:, None]  # a signature may follow
         self._round.finish(frames)
         return frames

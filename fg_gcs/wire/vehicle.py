@@ -372,6 +372,14 @@ class Vehicle:
         if not self.armed:
             yield PhaseEvent.CHECKS_PASSED if self.prearm_ok else PhaseEvent.CHECKS_FAILED
 
+    def hand_over(self, now_s: float) -> None:
+        """Take it for somebody else's from now on, whose command it is about to get; on the ground that means nothing.
+
+        Args:
+            now_s: Loop time [s].
+        """
+        self._apply(PhaseEvent.TAKEN_OVER, now_s)
+
     def _apply(self, event: PhaseEvent, now_s: float) -> None:
         before, self.phase = self.phase, following(self.phase, event)
         if self.phase is not before:

@@ -30,6 +30,7 @@ from sitl_mock.physics.swarm import Swarm
 from sitl_mock.protocol.codec import COMPONENT, encode_rows, plain_setpoint
 from sitl_mock.protocol.layouts import layout
 from sitl_mock.protocol.rows import Scene, sendable
+from sitl_mock.protocol.signing import Signing, SigningTime
 
 DYNAMICS = ("paper", "measured")
 FARTHEST_M = 1e5  # of a pad: beyond, the world is not flat any more
@@ -53,6 +54,8 @@ class FleetOptions:
         manners: of other versions of the autopilot.
         faults: inside vehicles, see `sitl_mock.parse_fault`.
         collisions: vehicles that hit each other or the ground have flown for the last time; if not, it is only told.
+        signing_key: that all vehicles have, see `sitl_mock.read_key`; None: they have none, and take one.
+        epoch_s: Unix time at the start of simulated time, for signatures [s].
 
     Raises:
         ValueError: options that contradict each other or mean nothing; one line that says which.
@@ -69,6 +72,8 @@ class FleetOptions:
     manners: Manners = field(default_factory=Manners)
     faults: tuple[FaultOptions, ...] = ()
     collisions: bool = True
+    signing_key: bytes | None = field(default=None, repr=False)
+    epoch_s: float = 0.0
 
     def __post_init__(self) -> None:
         pads = len(self.pads_enu_m)
@@ -152,12 +157,13 @@ class Fleet:
         sigma = np.array([rules.profile.position_error_m[0]] * 2 + [rules.profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma
         self._table = VehicleTable(pads_ned_m, noise, self._world, self.profile.earth_radius_m)
+        self._signing_time = SigningTime(options.epoch_s)
         self.vehicles = []
         for k, system_id in enumerate(options.system_ids):
             drift_rad = float(drifts.uniform(-np.pi, np.pi))
             setup = Setup(system_id, links, options.real_boot, options.manners, k, drift_rad, partial(self._body, k))
             autopilot = Autopilot(rules, setup, self._world, self._table)
-            self.vehicles.append(Vehicle(autopilot, self._dialect))
+            self.vehicles.append(Vehicle(autopilot, self._dialect, Signing(self._signing_time, options.signing_key)))
         self._given: list[tuple[Reference, Limits] | None] = [None] * len(self.vehicles)
         self._tuned = [0] * len(self.vehicles)  # how many changes of parameters the control law knows
         self._streams = [False] * len(self.vehicles)  # whether plain setpoints change nothing but the target
@@ -182,6 +188,7 @@ class Fleet:
             What the vehicles said meanwhile (answers, heartbeats at mode changes; streams are `telemetry`).
         """
         sent: list[Sent] = []
+        self._signing_time.now_s = now_s
         while self.swarm.time_s + self.physics.time.step_s <= now_s + TIME_SLACK_S:
             if self._step % self.physics.time.logic_steps == 0:
                 sent += self._think()
@@ -223,7 +230,8 @@ class Fleet:
 
     def _stream(self, vehicle: int, link: int, data: bytes, now_s: float) -> bool:
         """Take a datagram that is one more setpoint of a stream; False: it has to be read with care."""
-        values = plain_setpoint(data)
+        signing = self.vehicles[vehicle].signing
+        values = plain_setpoint(data, signing.is_on)
         if values is None:
             return False
         _, x, y, z, u, v, w, a, b, c, yaw_rad, _, mask, system, component, frame = values
@@ -232,6 +240,8 @@ class Fleet:
             return False
         if not is_plain(mask, frame, x, y, z, u, v, w, a, b, c, yaw_rad):
             return False
+        if signing.is_on and not signing.takes(data):
+            return True
         yaw_rad = math.remainder(yaw_rad, 2.0 * math.pi)
         target = Target(self._table.world_m(vehicle, (x, y, z)), (u, v, w), (a, b, c), yaw_rad, now_s)
         self.swarm.commands.stream(vehicle, *target)

@@ -123,6 +123,7 @@ class Counters:
     unsendable: int  # messages whose numbers did not fit their fields
     send_errors: int  # reported by the system
     slipped_s: float  # simulated time that never happened, because stalls were too long to make up
+    not_signed: int = 0  # frames refused because of their signature: none, a wrong one, or one that came before
 
 
 class _Port(asyncio.DatagramProtocol):
@@ -324,6 +325,7 @@ class Simulator:
             unsendable=sum(codec.unsendable for codec in codecs),
             send_errors=sum(port.errors for port in ports),
             slipped_s=0.0 if self._clock is None else self._clock.slipped_s,
+            not_signed=sum(vehicle.signing.refused for vehicle in self.fleet.vehicles),
         )
 
     # -- time -----------------------------------------------------------------------------------------------------

@@ -8,7 +8,9 @@ import os
 import signal
 import stat
 import sys
+import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from sitl_mock.faults.incidents import write_truth
@@ -31,7 +33,7 @@ def simulate(options: SimulatorOptions, with_parent: bool, timing: Path | None =
     Returns:
         Exit code.
     """
-    simulator = Simulator(options)
+    simulator = Simulator(replace(options, epoch_s=time.time()))
     if options.truth is not None:
         try:
             write_truth(options.truth, simulator.fleet.incidents)
@@ -90,6 +92,7 @@ def closing_line(counters: Counters) -> str:
     found = [
         (counters.bad_bytes, "bytes received in no valid frame"),
         (counters.dropped, "datagrams from unknown senders ignored"),
+        (counters.not_signed, "frames refused because of their signature"),
         (counters.unsendable, "messages not sent because a number did not fit"),
         (counters.send_errors, "errors while sending"),
         (round(counters.slipped_s, 3), "s of simulated time skipped, the machine being too slow"),

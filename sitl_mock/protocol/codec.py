@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from sitl_mock.messages import Fields, Received
 from sitl_mock.protocol.layouts import Layout, layout, layout_of_id
+from sitl_mock.protocol.signing import SIGNATURE_BYTES, SIGNED, Signing
 
 COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
-HEADER_V1_BYTES, HEADER_V2_BYTES, CHECKSUM_BYTES, SIGNATURE_BYTES = 6, 10, 2, 13
-SIGNED = 0x01  # the only incompatibility flag there is: the signature is skipped, and not checked
+HEADER_V1_BYTES, HEADER_V2_BYTES, CHECKSUM_BYTES = 6, 10, 2
 LONGEST_FRAME_BYTES = HEADER_V2_BYTES + 255 + CHECKSUM_BYTES + SIGNATURE_BYTES
 
 # Length, incompatible and compatible flags, sequence, system, component, message id.
@@ -27,11 +27,15 @@ _SETPOINT = layout("SET_POSITION_TARGET_LOCAL_NED")
 SETPOINT_BYTES = (
     HEADER_V2_BYTES + _SETPOINT.size + CHECKSUM_BYTES
 )  # its last byte, the frame, is not 0: never shortened
-SETPOINT_BEGIN = bytes([MAGIC_V2, _SETPOINT.size, 0])
+UNSIGNED_BEGIN, SIGNED_BEGIN = bytes([MAGIC_V2, _SETPOINT.size, 0]), bytes([MAGIC_V2, _SETPOINT.size, SIGNED])
 
 
 class Codec:
     """MAVLink 2 out, MAVLink 1 and 2 in.
+
+    Args:
+        signing: signs what goes out and judges what comes in, if it has a key.
+        link: index of the remote, which is the link's id in signatures.
 
     Attributes:
         bad_bytes: bytes that belonged to no good frame.
@@ -39,7 +43,9 @@ class Codec:
         sequence: number of the next frame, 0 to 255, around and around: peers count losses by its gaps.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, signing: Signing | None = None, link: int = 0) -> None:
+        self.signing = signing
+        self.link = link
         self.bad_bytes = 0
         self.unsendable = 0
         self.sequence = 0
@@ -67,8 +73,15 @@ class Codec:
         sequence = self.sequence
         self.sequence = (sequence + 1) & 0xFF
         short = payload.rstrip(b"\0") or b"\0"  # MAVLink 2 leaves zeros at the end out, but the first byte stays
-        body = _pack_header(len(short), 0, 0, sequence, system_id, COMPONENT, message.id_bytes) + short
-        return b"\xfd" + body + _pack_checksum(_checksum(body + message.crc_extra))
+        signs = self.signing is not None and self.signing.is_on
+        body = _pack_header(len(short), signs, 0, sequence, system_id, COMPONENT, message.id_bytes) + short
+        frame = b"\xfd" + body + _pack_checksum(_checksum(body + message.crc_extra))
+        return self.signed(frame) if signs else frame
+
+    def signed(self, frame: bytes) -> bytes:
+        """A frame with its signature."""
+        assert self.signing is not None
+        return frame + self.signing.signature(frame, self.link)
 
     def _messages(self, data: bytes) -> Iterator[Received]:
         start, end = 0, len(data)
@@ -79,7 +92,7 @@ class Codec:
                 start += 1
                 continue
             message = _message(data, start, stop)
-            if message is not None:
+            if message is not None and (self.signing is None or self.signing.takes(data[start:stop])):
                 yield message
             start = stop
 
@@ -105,16 +118,19 @@ class Codec:
         return end if _checksum(data[start + 1 : body_end] + message.crc_extra) == checksum else None
 
 
-def plain_setpoint(data: bytes) -> tuple[Any, ...] | None:
+def plain_setpoint(data: bytes, signed: bool) -> tuple[Any, ...] | None:
     """The values of a datagram that is one good SET_POSITION_TARGET_LOCAL_NED frame, in the order of the wire.
 
-    None for anything else, and for one that is written in another way than usual: `Codec.decode` reads it then.
+    None for anything else, and for one that is written in another way than usual: `Codec.decode` reads it then. The
+    signature of a signed one is not looked at.
     """
-    if len(data) != SETPOINT_BYTES or data[:3] != SETPOINT_BEGIN or data[7:10] != _SETPOINT.id_bytes:
+    size, begin = (SETPOINT_BYTES + SIGNATURE_BYTES, SIGNED_BEGIN) if signed else (SETPOINT_BYTES, UNSIGNED_BEGIN)
+    if len(data) != size or data[:3] != begin or data[7:10] != _SETPOINT.id_bytes:
         return None
-    if _checksum(data[1:-CHECKSUM_BYTES] + _SETPOINT.crc_extra) != int.from_bytes(data[-CHECKSUM_BYTES:], "little"):
+    covered = SETPOINT_BYTES - CHECKSUM_BYTES
+    if _checksum(data[1:covered] + _SETPOINT.crc_extra) != int.from_bytes(data[covered:SETPOINT_BYTES], "little"):
         return None
-    return _SETPOINT.unpack_whole(data[HEADER_V2_BYTES:-CHECKSUM_BYTES])
+    return _SETPOINT.unpack_whole(data[HEADER_V2_BYTES:covered])
 
 
 def encode_rows(
@@ -128,8 +144,10 @@ def encode_rows(
         short = data[start : start + size].rstrip(b"\0") or b"\0"
         sequence = codec.sequence
         codec.sequence = (sequence + 1) & 0xFF
-        body = _pack_header(len(short), 0, 0, sequence, system_id, COMPONENT, id_bytes) + short
-        frames.append(b"\xfd" + body + _pack_checksum(_checksum(body + crc_extra)))
+        signs = codec.signing is not None and codec.signing.is_on
+        body = _pack_header(len(short), signs, 0, sequence, system_id, COMPONENT, id_bytes) + short
+        frame = b"\xfd" + body + _pack_checksum(_checksum(body + crc_extra))
+        frames.append(codec.signed(frame) if signs else frame)
     return frames
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from fg_gcs.console.cli import main
 from fg_gcs.core.coverage import flux_metric
-from fg_gcs.link.router import Counters
+from fg_gcs.link.counters import Counters
 from fg_gcs.record.evaluate.tracking import KEYS
 from tests.flight.harness import AUTOPILOTS, SMALL, Flight, fly, mission_of
 

@@ -14,14 +14,17 @@ from scipy.spatial.distance import pdist
 
 from fg_gcs.errors import LinkError, MissionError
 from fg_gcs.flight.director import Director, FlightResult, Setup
+from fg_gcs.flight.fleet import Fleet
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
-from fg_gcs.link.endpoint import parse_networks
+from fg_gcs.link.endpoint import PX4_PORT, PX4_PORTS, parse_networks, px4_endpoints
+from fg_gcs.link.router import Router
 from fg_gcs.mission import Mission
 from fg_gcs.record.evaluate.evaluation import evaluated
 from fg_gcs.record.report.report import write_report
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.run.summary import summary_of
 from fg_gcs.wire.address import VehicleAddress
+from fg_gcs.wire.commands import set_mode
 from sitl_mock.host.server import Simulator, SimulatorOptions
 from tests.flight.harness import SMALL, mission_of
 
@@ -140,3 +143,26 @@ def test_who_is_missing_is_told_with_its_network(tmp_path: Path) -> None:
     text = NAMED.replace('"west/2"', '"west/3"')
     with pytest.raises(LinkError, match=r"only vehicles east/1-2, west/1-2 answered .* needs east/1-2, west/1, west/3"):
         flown(tmp_path, mission_of(tmp_path, text))
+
+
+def test_twelve_px4_instances_are_heard_at_their_own_ports_and_told_each_its_own() -> None:
+    """Instances 9, 10 and 11 share a port, as the real ones do."""
+
+    async def main() -> None:
+        router = await Router.open(parse_networks(px4_endpoints(12)))
+        async with AsyncExitStack() as stack:
+            simulators = []
+            for instance in range(12):
+                remote = "127.0.0.1", PX4_PORT + min(instance, PX4_PORTS - 1)
+                options = SimulatorOptions(system_ids=(instance + 1,), remotes=(remote,))
+                simulators.append(await stack.enter_async_context(Simulator(options)))
+            await asyncio.sleep(2.0)
+            fleet = Fleet(router, [router.vehicles[address] for address in sorted(router.vehicles)])
+            assert len(fleet.vehicles) == 12
+            await fleet.ask(fleet.vehicles, lambda vehicle: [set_mode(vehicle.profile.modes["LAND"])])
+            assert router.endpoint_of(VehicleAddress("main", 12)) == "udpin:127.0.0.1:14549"
+            assert router.counters.clashes == 0
+        router.close()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(main())

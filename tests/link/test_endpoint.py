@@ -8,7 +8,19 @@ from hypothesis import strategies as st
 from fg_gcs.errors import LinkError
 from fg_gcs.link.bulk import bulk_send_of
 from fg_gcs.link.clock import ticks
-from fg_gcs.link.endpoint import Address, Endpoint, Kind, UdpWire, Wire, open_wire, parse_endpoint, parse_networks
+from fg_gcs.link.endpoint import (
+    Address,
+    Endpoint,
+    Kind,
+    Wire,
+    ardupilot_endpoints,
+    parse_endpoint,
+    parse_networks,
+    places,
+    px4_endpoints,
+)
+from fg_gcs.link.opening import open_wire
+from fg_gcs.link.udp_wire import UdpWire
 
 
 @pytest.mark.parametrize(
@@ -21,6 +33,9 @@ from fg_gcs.link.endpoint import Address, Endpoint, Kind, UdpWire, Wire, open_wi
         ("udpin://127.0.0.1:14550", Endpoint(Kind.UDP_IN, "127.0.0.1", 14550)),
         ("udpout:localhost:18570", Endpoint(Kind.UDP_OUT, "localhost", 18570)),
         (" TCP:127.0.0.1:5760 ", Endpoint(Kind.TCP, "127.0.0.1", 5760)),
+        ("tcpin:0.0.0.0:5760", Endpoint(Kind.TCP_IN, "0.0.0.0", 5760)),
+        ("tcpin:5760", Endpoint(Kind.TCP_IN, "127.0.0.1", 5760)),
+        ("serial:/dev/ttyACM0:115200", Endpoint(Kind.SERIAL, "/dev/ttyACM0", 115200)),
     ],
 )
 def test_accepted_forms(text: str, endpoint: Endpoint) -> None:
@@ -32,7 +47,9 @@ def test_accepted_forms(text: str, endpoint: Endpoint) -> None:
     "text", ["", "14550", "udpin", "udpin:", "udpin:host", "serial:/dev/ttyS0", "udp:a:b:1", "tcp:h:0", "tcp:h:65536"]
 )
 def test_other_forms_are_refused_with_the_list_of_good_ones(text: str) -> None:
-    with pytest.raises(LinkError, match=r"udpin:HOST:PORT.*udpout:HOST:PORT.*tcp:HOST:PORT"):
+    with pytest.raises(
+        LinkError, match=r"udpin:HOST:PORT.*udpout:HOST:PORT.*tcp:HOST:PORT.*tcpin:HOST:PORT.*serial:DEVICE:BAUD"
+    ):
         parse_endpoint(text)
 
 
@@ -239,3 +256,33 @@ def test_a_host_without_an_address_is_one_clear_line() -> None:
             await open_wire(Endpoint(Kind.UDP_IN, "192.0.2.1", 14550), Heard())
 
     asyncio.run(main())
+
+
+def test_presets_are_where_simulated_autopilots_are() -> None:
+    assert px4_endpoints(3) == ("udpin:127.0.0.1:14540", "udpin:127.0.0.1:14541", "udpin:127.0.0.1:14542")
+    assert px4_endpoints(10) == px4_endpoints(11) == px4_endpoints(250)  # from the tenth on they share a port
+    assert px4_endpoints(250)[-1] == "udpin:127.0.0.1:14549"
+    assert ardupilot_endpoints(3) == ("tcp:127.0.0.1:5760", "tcp:127.0.0.1:5770", "tcp:127.0.0.1:5780")
+    assert px4_endpoints(0) == ardupilot_endpoints(0) == ()
+    mixed = parse_networks([*px4_endpoints(12), *ardupilot_endpoints(250), "east=serial:/dev/ttyS0:57600"])
+    assert [len(endpoints) for endpoints in mixed.values()] == [260, 1]
+
+
+@pytest.mark.parametrize(
+    ("texts", "told"),
+    [
+        (["udp:1", "udp:2"], "listening at udpin:127.0.0.1:1, udpin:127.0.0.1:2"),
+        (["tcp:1"], "connected to tcp:127.0.0.1:1"),
+        (
+            ["udp:1", "tcp:2", "tcpin:3", "udpout:4", "serial:/dev/ttyS0:57600"],
+            "listening at udpin:127.0.0.1:1, tcpin:127.0.0.1:3; connected to tcp:127.0.0.1:2, serial:/dev/ttyS0:57600; "
+            "calling udpout:127.0.0.1:4",
+        ),
+        (
+            ["east=udp:1", "west=udp:2", "west=tcp:3"],
+            "listening at east: udpin:127.0.0.1:1; west: udpin:127.0.0.1:2; connected to west: tcp:127.0.0.1:3",
+        ),
+    ],
+)
+def test_people_are_told_what_is_done_where(texts: list[str], told: str) -> None:
+    assert places(parse_networks(texts)) == told

@@ -3,8 +3,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
-from fg_gcs.link.endpoint import Endpoint, Kind, MemoryWire
+from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.peers import MOST_STRANGERS, STRANGERS_BURST_BYTES, STRANGERS_BYTES_S, Peers, TokenBucket
+from fg_gcs.link.udp_wire import MemoryWire
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import PX4
 from fg_gcs.wire.framing import Sender

@@ -13,20 +13,11 @@ from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import VirtualTimeLoop, make_loop, ticks
-from fg_gcs.link.endpoint import (
-    CONNECT_S,
-    FIRST_PAUSE_S,
-    MOST_PAUSE_S,
-    STEADY_S,
-    Address,
-    Change,
-    Endpoint,
-    Kind,
-    Wire,
-    open_wire,
-    parse_endpoint,
-)
+from fg_gcs.link.endpoint import Address, Change, Endpoint, Kind, Wire, parse_endpoint
+from fg_gcs.link.kept_wire import FIRST_PAUSE_S, MOST_PAUSE_S, STEADY_S
+from fg_gcs.link.opening import open_wire
 from fg_gcs.link.router import Router
+from fg_gcs.link.tcp_wire import CONNECT_S
 from fg_gcs.wire.address import MAIN
 from fg_gcs.wire.codec import Message
 from fg_gcs.wire.framing import Sender

@@ -14,6 +14,8 @@ from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, read_kept
 from fg_gcs.run.flying import FlyOptions
 from fg_gcs.run.flying import fly as run_mission
 from fg_gcs.run.recovering import RecoverOptions, RecoverResult, recover
+from fg_gcs.run.simulators import VIRTUAL_EPOCH_S
+from sitl_mock import read_key
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.host.server import Simulator, SimulatorOptions
 from tests.flight.harness import AUTOPILOTS, GROUND_PORT, OTHER_PORT, UPRIGHT, Flight, OtherStation, _Beside, mission_of
@@ -29,8 +31,11 @@ def values_of(parameters: Parameters) -> dict[str, float]:
 class Crash:
     """A flight that is killed at a stage, and what `recover` makes of it some seconds later."""
 
-    def __init__(self, folder: Path, autopilot: str, stage: str, later_s: float, mode: str = "") -> None:
+    def __init__(
+        self, folder: Path, autopilot: str, stage: str, later_s: float, mode: str = "", key: Path | None = None
+    ) -> None:
         self.state, self.folder, self.mode = folder / "state", folder, mode
+        self.key, self.keys = key, () if key is None else (str(key),)
         self.stage, self.later_s = stage, later_s
         self.autopilot = autopilot
         self.closest_m = np.inf
@@ -47,6 +52,8 @@ class Crash:
                 pads_enu_m=tuple((x, y) for x, y in mission.pads_enu_m().tolist()),
                 system_ids=mission.swarm.ids(),
                 remotes=(("127.0.0.1", GROUND_PORT), ("127.0.0.1", OTHER_PORT)),
+                signing_key=None if self.key is None else read_key(self.key),
+                epoch_s=VIRTUAL_EPOCH_S,
             )
         )
         await self.simulator.start()
@@ -68,13 +75,21 @@ class Crash:
             killed.set()
 
         where = (f"udpin:127.0.0.1:{GROUND_PORT}",)
-        options = FlyOptions(where, knows_origin=True, logs=self.folder, state=self.state, write_report=False)
+        options = FlyOptions(
+            where,
+            knows_origin=True,
+            logs=self.folder,
+            state=self.state,
+            write_report=False,
+            signing_keys=self.keys,
+        )
         flight = asyncio.ensure_future(run_mission(mission, options, [_Beside(self.simulator, kill)]))
         await killed.wait()
         assert len({kept.uid for kept in read_kept(self.state)} - {""}) == 4
         await asyncio.sleep(self.later_s)
         watch = asyncio.ensure_future(self._watch())
-        result = await recover(RecoverOptions(wait_s=6.0, logs=self.folder, state=self.state))
+        how = RecoverOptions(wait_s=6.0, logs=self.folder, state=self.state, signing_keys=self.keys)
+        result = await recover(how)
         watch.cancel()
         flight.cancel()
         self.armed, self.highest_m = self.simulator.armed, self.simulator.positions_enu_m[:, 2].max()
@@ -167,6 +182,19 @@ def test_after_landing_only_parameters_are_put_back(tmp_path: Path) -> None:
     assert result.in_order
     assert all("disarmed" in each.was for each in result.vehicles)
     assert crash.parameters == [0.0] * 4
+
+
+@pytest.mark.parametrize("autopilot", AUTOPILOTS)
+def test_over_signed_links_too(autopilot: str, tmp_path: Path) -> None:
+    """The stamps that the run used are on disk: what recovers goes on from there."""
+    key = tmp_path / "swarm.key"
+    key.write_text("a passphrase\n")
+    key.chmod(0o600)
+    crash = Crash(tmp_path, autopilot, "hold", 0.5, key=key)
+    assert crash.run().in_order
+    assert not crash.armed.any()
+    assert crash.closest_m >= 1.45
+    assert crash.simulator.counters.not_signed == 0
 
 
 def run(options: RecoverOptions) -> RecoverResult:

@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sitl_mock.protocol.codec import Codec, encode_rows
 from sitl_mock.protocol.layouts import NUMPY_TYPES, layout
+from sitl_mock.protocol.signing import Signing, SigningTime
 
 NAMES = sorted(row.msgname for row in dialect.mavlink_map.values())
 OFTEN = (
@@ -171,3 +172,29 @@ def test_a_number_that_does_not_fit_is_not_sent() -> None:
     assert codec.encode("HEARTBEAT", {"type": 300}, 1) == b""
     assert codec.unsendable == 1
     assert codec.encode("HEARTBEAT", {"type": 2}, 1)[4] == 0  # no sequence number was used
+
+
+def test_a_time_stamp_at_the_end_of_time_stops_no_vehicle() -> None:
+    signing = Signing(SigningTime(0.0), None)
+    signing.set_up(bytes([1]) * 32, 2**64 - 1)
+    codec = Codec(signing)
+    fields = dict.fromkeys(layout("HEARTBEAT").names, 3)
+    assert [len(codec.encode("HEARTBEAT", fields, 1)) for _ in range(2)] == [10 + 9 + 2 + 13] * 2
+
+
+@pytest.mark.parametrize("name", OFTEN)
+def test_frames_are_signed_byte_for_byte_as_pymavlink_signs_them(name: str) -> None:
+    key, payload = bytes(range(32)), bytes(range(1, layout(name).size + 1))
+    message = message_of(name, payload)
+    theirs = dialect.MAVLink(None, srcSystem=42, srcComponent=1)
+    theirs.signing.secret_key, theirs.signing.link_id, theirs.signing.sign_outgoing = key, 3, True
+    theirs.signing.timestamp = 1
+    judge = dialect.MAVLink(None, srcSystem=255)
+    judge.signing.secret_key = key
+    codec = Codec(Signing(SigningTime(0.0), key), 3)
+    for count in range(3):
+        theirs.seq = count
+        expected = bytes(message.pack(theirs))
+        assert codec.finish(layout(name), payload, 42) == expected
+        (read,) = judge.parse_buffer(expected)
+        assert read.get_signed()

@@ -18,7 +18,8 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.flight.sightings.senders import SenderClocks, Senders, SightingQueue
-from fg_gcs.link.endpoint import Address, Wire, open_wire, parse_endpoint
+from fg_gcs.link.endpoint import Address, Wire, parse_endpoint
+from fg_gcs.link.opening import open_wire
 from fg_gcs.mission.target_tables import MovingTarget
 from fg_gcs.scenario.motions import TrueMotion
 from fg_gcs.scenario.sensor import Measurement

@@ -14,7 +14,8 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic, enu_from_geodetic
 from fg_gcs.flight.sightings.senders import SenderClocks, Senders, SightingQueue
 from fg_gcs.flight.sightings.sources import OnRefused, OnSighting, shifted
-from fg_gcs.link.endpoint import Address, Wire, open_wire, parse_endpoint
+from fg_gcs.link.endpoint import Address, Wire, parse_endpoint
+from fg_gcs.link.opening import open_wire
 from fg_gcs.mission.target_tables import MovingTarget, VehicleSource
 from fg_gcs.scenario.sensor import Sensor
 from fg_gcs.track.sightings import Sighting, Verdict, isotropic
