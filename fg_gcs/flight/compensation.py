@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from fg_gcs.core.arrays import Array
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.gate import Gate
+from fg_gcs.flight.journal import Journal
 from fg_gcs.link.clock import ticks
 
 GRAVITY_M_S2: Final = 9.80665
@@ -85,6 +86,14 @@ class Compensation:
         states = self._fleet.states
         self._fit.take(thrust_m_s2(states.yaw_rad, states.lean_rad), located.position_enu_m, located.velocity_enu_m_s)
         self.drag_per_s = np.where(self._may_add_drag, self._fit.drag_per_s, 0.0)
+
+    def conclude(self, journal: Journal) -> None:
+        """Say what was learnt: the drag of each vehicle, and the lead of its setpoints."""
+        drag, lead = self.drag_per_s, self.lead_s
+        journal.recorder.know(learnt_drag_per_s=drag.tolist(), learnt_lead_s=lead.tolist())
+        if drag.any() or lead.any():
+            spans = f"drag {drag.min():.2f} to {drag.max():.2f} /s, lag {lead.min():.2f} to {lead.max():.2f} s"
+            journal.event("learnt", f"setpoints were sent ahead of what vehicles lag: {spans} at the end")
 
     def applied(self, rows: NDArray[np.int_], numbers: Array) -> Array:
         """Return what to tell vehicles so that they do what they are to.

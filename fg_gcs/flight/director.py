@@ -246,6 +246,7 @@ class Director:
                 await self._bring_down(flight)
                 self.result.late_ticks = flight.context.streamer.late_ticks
                 self.result.gate = flight.context.streamer.gate.counts
+                flight.context.streamer.conclude(self.journal)
             self._count()
             for failsafe in failsafes:
                 await self._put_back(failsafe)

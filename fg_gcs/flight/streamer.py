@@ -19,6 +19,7 @@ from fg_gcs.core.mending import BRAKED, CHANGED
 from fg_gcs.flight.compensation import Compensation
 from fg_gcs.flight.fleet import Fleet
 from fg_gcs.flight.gate import Change, Gate
+from fg_gcs.flight.journal import Journal
 from fg_gcs.flight.motions import Braking, Motion, SwarmSetpoint
 from fg_gcs.flight.yaw_limiter import YawRateLimiter
 from fg_gcs.link.clock import ticks
@@ -168,6 +169,11 @@ class Streamer:
                     self.after_round(now_s)
             else:
                 last = -1
+
+    def conclude(self, journal: Journal) -> None:
+        """Say at the end what was learnt of the vehicles."""
+        if self.compensation is not None:
+            self.compensation.conclude(journal)
 
     def stood_still(self, seconds: float) -> None:
         """Drop the motion, as this program stood still for so long [s]; told once, whoever notices it first."""

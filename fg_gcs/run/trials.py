@@ -18,7 +18,15 @@ Draw = np.random.Generator
 STAGES: Final = ("take-off", "gather", "approach", "hold", "home", "land")
 LASTS_S: Final = (2.0, 4.0, 6.0, np.inf)
 MODES: Final = MappingProxyType({"px4": ("LAND", "LOITER", "RTL"), "ardupilot": ("LAND", "LOITER", "RTL")})
-TASKS: Final = ("streamer", "watch", "descents", "recorder", "heartbeat", "parameters")  # of every flight
+TASKS: Final = (
+    "streamer",
+    "watch",
+    "descents",
+    "recorder",
+    "heartbeat",
+    "parameters",
+    "compensation",
+)  # of every flight
 STANDS_S: Final = (1.0, 5.0)  # that a station stands still
 MOST_AFTER_S: Final = 4.0  # after a stage has begun something goes wrong
 AFTER_EACH_OTHER_S: Final = 1.0  # two things that go wrong

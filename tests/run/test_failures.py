@@ -282,6 +282,7 @@ TASKS: Mapping[str, Made] = {  # beside the rows above: streamer, planner, recor
     "descents": Made("px4", 0.5, stage="home", vehicles=(), act=kill("Descents.run")),
     "heartbeat": Made("ardupilot", 3.0, vehicles=(), act=kill("Router.keep_alive")),
     "parameters": Made("px4", 5.0, vehicles=(), act=kill("Failsafes.watch")),
+    "compensation": Made("px4", 5.0, vehicles=(), act=kill("Compensation.run")),
 }
 
 
