@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+from collections.abc import Sequence
 
 import pytest
 from pymavlink import mavutil
@@ -15,11 +16,12 @@ from fg_gcs.link.forwarding import HELD_S, TOGETHER_BYTES, Forwards, parse_forwa
 from fg_gcs.link.router import Direction, Router
 from fg_gcs.wire.address import MAIN
 from fg_gcs.wire.codec import Codec, Message
-from fg_gcs.wire.framing import Sender
+from fg_gcs.wire.framing import Frames, Sender
 from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.signing import Signing, Stamps, stamp_of
 from tests.link.test_router import GROUND, Fake, at, settle, virtually
-from tests.link.test_serial import fast, until
+from tests.link.test_serial import until
+from tests.link.test_tcp import fast
 
 RECEIVER = parse_endpoint("udpout:127.0.0.1:14560")
 OTHER = parse_endpoint("udpout:127.0.0.1:14561")
@@ -33,7 +35,7 @@ class Program(asyncio.DatagramProtocol):
         self.datagrams: list[bytes] = []
         self.sender = Sender(250, 190, None if signing is None else signing.signature(0))
         self.transport: asyncio.DatagramTransport
-        self._address: tuple[str, int] | None = None
+        self.address: tuple[str, int] | None = None
 
     @classmethod
     async def start(cls, endpoint: Endpoint = RECEIVER, signing: Signing | None = None) -> Program:
@@ -44,11 +46,11 @@ class Program(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         self.datagrams.append(data)
-        self._address = addr
+        self.address = addr
 
     def say(self, *messages: Message) -> None:
         for message in messages:
-            self.transport.sendto(self.sender.pack(message), self._address)
+            self.transport.sendto(self.sender.pack(message), self.address)
 
     def sees(self) -> list[str]:
         return [frame.get_type() for data in self.datagrams for frame in Codec(datagrams=True).receive(data)]
@@ -62,9 +64,9 @@ def test_every_frame_of_vehicles_passes_as_it_came_and_no_other() -> None:
     async def main() -> None:
         heard: list[bytes] = []
 
-        def tap(direction: Direction, frames: object, now_s: float) -> None:
+        def tap(direction: Direction, frames: Sequence[bytes] | Frames, now_s: float) -> None:
             if direction is Direction.IN:
-                heard.extend(bytes(frame) for frame in frames)  # type: ignore[attr-defined]
+                heard.extend(bytes(frame) for frame in frames)
 
         router = await Router.open({MAIN: [GROUND]}, tap=tap, forwards=Forwards({MAIN: [RECEIVER, OTHER]}, False))
         programs = [await Program.start(endpoint) for endpoint in (RECEIVER, OTHER)]
@@ -194,7 +196,7 @@ def test_in_a_network_with_a_key_only_what_is_signed_with_it_reaches_a_vehicle()
         assert program.datagrams[0][2] == 1
         frame = program.sender.pack(LAND)
         for data in (frame, frame, Sender(250, 190).pack(LAND)):
-            program.transport.sendto(data, program._address)  # noqa: SLF001
+            program.transport.sendto(data, program.address)
         await settle(0.1)
         assert [message.get_msgbuf() for message in fake.heard] == [frame]
         assert (router.counters.commands_passed, router.counters.commands_dropped) == (1, 2)

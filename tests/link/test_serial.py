@@ -6,16 +6,15 @@ import asyncio
 import os
 import pty
 import tty
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
 from fg_gcs.errors import LinkError
-from fg_gcs.link.clock import make_loop, ticks
+from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import Address, Change, Endpoint, Kind, Wire, parse_endpoint
 from fg_gcs.link.opening import open_wire
 from fg_gcs.link.router import Router
@@ -23,11 +22,9 @@ from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.codec import Codec
 from fg_gcs.wire.commands import heartbeat
 from fg_gcs.wire.framing import Sender
+from tests.link.test_tcp import fast
 
 BAUD = 57600
-FAST = 10.0  # times real time
-PATIENCE_S = 30.0 * FAST
-Result = TypeVar("Result")
 
 
 class Plug:
@@ -68,15 +65,6 @@ def plug(tmp_path: Path) -> Iterator[Plug]:
     made = Plug(tmp_path / "ttyUSB0")
     yield made
     made.pull_out()
-
-
-def fast(main: Callable[[], Awaitable[Result]]) -> Result:
-    async def patient() -> Result:
-        async with asyncio.timeout(PATIENCE_S):
-            return await main()
-
-    with asyncio.Runner(loop_factory=lambda: make_loop(FAST)) as runner:
-        return runner.run(patient())
 
 
 async def until(so: Callable[[], object]) -> None:

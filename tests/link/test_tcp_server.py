@@ -12,9 +12,10 @@ from fg_gcs.link.endpoint import Endpoint, Kind
 from fg_gcs.link.opening import open_wire
 from fg_gcs.link.router import Router
 from fg_gcs.wire.address import MAIN, VehicleAddress
-from fg_gcs.wire.codec import Codec
+from fg_gcs.wire.codec import Codec, Message
 from fg_gcs.wire.framing import Sender
-from tests.link.test_serial import fast, until
+from tests.link.test_serial import until
+from tests.link.test_tcp import fast
 
 
 def free() -> int:
@@ -73,10 +74,11 @@ def test_a_vehicle_that_connects_anew_is_the_same_one_at_once() -> None:
             caller = await Caller.call(endpoint, 5)
             caller.beat()
             await until(lambda: address in router.vehicles)
+            hearing = asyncio.ensure_future(caller.hears("PING"))
 
-            def told(caller: Caller = caller, number: int = number) -> bool:
+            def told(hearing: asyncio.Future[Message] = hearing, number: int = number) -> bool:
                 router.send_message(address, dialect.MAVLink_ping_message(number, 13, 5, 1))
-                return any(message.get_type() == "PING" for message in caller.codec.receive(_waiting(caller)))
+                return hearing.done()
 
             await until(told)
             caller.writer.close()
@@ -86,12 +88,6 @@ def test_a_vehicle_that_connects_anew_is_the_same_one_at_once() -> None:
         router.close()
 
     fast(main)
-
-
-def _waiting(caller: Caller) -> bytes:
-    waiting = bytes(caller.reader._buffer)  # type: ignore[attr-defined] # noqa: SLF001 # what has come so far
-    caller.reader._buffer.clear()  # type: ignore[attr-defined] # noqa: SLF001
-    return waiting
 
 
 def test_a_port_that_is_taken_is_refused_in_one_line() -> None:

@@ -20,8 +20,7 @@ from tests.flight.harness import AUTOPILOTS, SMALL, mission_of
 from tests.link.test_forwarding import RECEIVER, Program
 
 ALLOWED = SMALL.replace("vehicles = 4", "vehicles = 4\nforward_commands = true")
-LAND = {"px4": dialect.MAVLink_command_long_message(2, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0)}
-LAND["ardupilot"] = LAND["px4"]
+LAND = dialect.MAVLink_command_long_message(2, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 class _InHold(Observer):
@@ -51,7 +50,7 @@ def flown(folder: Path, text: str, autopilot: str, *said: Message) -> tuple[RunR
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_a_program_sees_the_whole_flight_and_commands_nobody(autopilot: str, tmp_path: Path) -> None:
-    result, program = flown(tmp_path, SMALL, autopilot, LAND[autopilot])
+    result, program = flown(tmp_path, SMALL, autopilot, LAND)
     assert result.completed, result.reason
     assert all(data[0] == MAGIC_V2 for data in program.datagrams)
     seen = program.sees()
@@ -65,7 +64,7 @@ def test_a_program_sees_the_whole_flight_and_commands_nobody(autopilot: str, tmp
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
 def test_a_vehicle_that_a_program_commands_is_theirs_and_the_others_come_home(autopilot: str, tmp_path: Path) -> None:
-    result, _ = flown(tmp_path, ALLOWED, autopilot, LAND[autopilot])
+    result, _ = flown(tmp_path, ALLOWED, autopilot, LAND)
     assert not result.completed
     assert "vehicle 2 is taken over" in result.reason
     assert (result.summary["commands_passed"], result.summary["commands_dropped"]) == (1, 0)
