@@ -39,6 +39,7 @@ from fg_gcs.flight.policy import (
     respond,
 )
 from fg_gcs.flight.preparation import prepare, vehicle_limits
+from fg_gcs.flight.return_settings import let_return
 from fg_gcs.flight.safety import Bounds
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
 from fg_gcs.flight.signing_setup import set_up_signing
@@ -46,6 +47,7 @@ from fg_gcs.flight.sortie import Sortie
 from fg_gcs.flight.streamer import Streamer
 from fg_gcs.flight.supervisor import Duty, Supervisor, bystander
 from fg_gcs.flight.target_follower import TargetFollower, TrackingSummary
+from fg_gcs.flight.wander import expected_wander
 from fg_gcs.flight.watch import Watch
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.counters import Counters
@@ -53,7 +55,6 @@ from fg_gcs.link.endpoint import Endpoint, places
 from fg_gcs.link.forwarding import Forwards
 from fg_gcs.link.router import Router
 from fg_gcs.mission.model import Mission
-from fg_gcs.plan.by_themselves import LEAST_M
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, plan_figures
 from fg_gcs.record.write.kept_parameters import KeptParameters
 from fg_gcs.record.write.recorder import Recorder
@@ -222,7 +223,8 @@ class Director:
             with self.journal.in_stage("plan"):
                 plan = await self._plan(fleet, task)
                 flights.append(await self._flight(fleet, plan.task, plan))
-                await self._let_return(fleet, plan, failsafes[0])
+                assert self._custody is not None, "made with the flight"
+                await let_return(fleet, plan, failsafes[0], self._custody, self.journal)
                 unfit = unfit_links(router, fleet.vehicles)
                 if unfit is not None:
                     raise VehicleError(unfit)
@@ -477,8 +479,9 @@ class Director:
             separation_m=task.rules.separation_m,
             target_enu_m=task.target_enu_m,
         )
-        lost_link = rule_of(self.mission, fleet)
-        return replace(task, rules=replace(task.rules, limits=limits), lost_link=lost_link)
+        wander = await expected_wander(fleet, self.mission, self.journal)
+        rules = replace(task.rules, limits=limits)
+        return replace(task, rules=rules, lost_link=rule_of(self.mission, fleet), wander=wander)
 
     async def _plan(self, fleet: Fleet, task: Task) -> FlightPlan:
         """Plan from where the vehicles really stand, and verify it, before anything is armed."""
@@ -498,34 +501,6 @@ class Director:
         for line in fault_words(ids, plan):
             self.journal.event("plan", line)
         return plan
-
-    async def _let_return(self, fleet: Fleet, plan: FlightPlan, failsafes: Failsafes) -> None:
-        """Set what vehicles do that hear nothing any more as the plan has it; say what comes of it for all of them.
-
-        Raises:
-            VehicleError: a vehicle keeps its own way.
-        """
-        alone = plan.alone
-        assert plan.task.lost_link is not None, "every flight has a rule"
-        await failsafes.set(alone, plan.task.lost_link.runs_on_s)
-        assert self._custody is not None, "made with the flight"
-        self._custody.returns_m = failsafes.returns_m
-        vanished = alone.landing if failsafes.returns_m is None else alone.vanished
-        first, second = (fleet.vehicles[row].address for row in vanished.pair)
-        how = "all land where they are"
-        if failsafes.returns_m is not None:
-            lowest_m, highest_m = failsafes.returns_m.min(), failsafes.returns_m.max()
-            how = f"all hover, return at heights of their own from {lowest_m:.1f} to {highest_m:.1f} m, and land"
-        text = f"when this program is gone {how}: vehicles {first} and {second} come within {vanished.closest_m:.2f} m"
-        moment = f"{vanished.after_s:.1f} s into the {vanished.stage}"
-        if vanished.bad:
-            moment += f"; two come closer than {LEAST_M:g} m from {100.0 * vanished.bad:.0f} % of all moments"
-        self.journal.event("warning" if vanished.bad else "plan", f"{text} ({moment})")
-        self.journal.recorder.know(
-            vanished_returns=failsafes.returns_m is not None,
-            vanished_separation_m=vanished.closest_m,
-            vanished_bad_share=vanished.bad,
-        )
 
     @property
     def _knows_origin(self) -> bool:

@@ -19,6 +19,7 @@ from fg_gcs.flight.fleet import STEP_S, until
 from fg_gcs.flight.motions import Beside, Braking, Follow, Motion, Rest
 from fg_gcs.flight.policy import Rung
 from fg_gcs.flight.target_follower import TargetFollower
+from fg_gcs.flight.wander import in_the_air
 from fg_gcs.link.clock import ticks
 from fg_gcs.plan.flight_plan import FlightPlan
 from fg_gcs.plan.keep_clear import Column
@@ -26,6 +27,7 @@ from fg_gcs.plan.landing import part, with_room
 from fg_gcs.plan.lost_link import keeping_apart
 from fg_gcs.plan.trajectory import Trajectory
 from fg_gcs.plan.verification import CheckedPlan, check
+from fg_gcs.plan.wander import parts_of, risk_of, too_often
 from fg_gcs.plan.way_home import plan_home
 from fg_gcs.wire.address import vehicles_named
 from fg_gcs.wire.autopilots import TakeOff
@@ -41,6 +43,7 @@ HEARD_S = 2.0  # how long vehicles have to tell where they are after this progra
 LET_GO_S = 5.0  # how long vehicles have to begin to land before the program ends all the same
 MOST_GENTLY = 30  # vehicles of which it is computed in flight: within a tenth of a second
 SLOWEST_HOME = 4.0  # times slower that a way home is flown after a fault, for the sake of another one
+MOST_RISK = 0.01  # pairs too near in a flight, from which on it is not flown as planned once that shows in the air
 STREAMED_S = 1.0  # how long setpoints run before the mode is asked for that needs them
 
 
@@ -83,6 +86,7 @@ class Sortie:
         with self._journal.in_stage("gather"):
             await self._stream(all_rows, self._plan.gather)
             await self._settle(all_rows, "the formation")
+            await self._measure()
         if self._target_follower is None:
             await self._to_the_target(all_rows)
         else:
@@ -288,6 +292,27 @@ class Sortie:
         await fleet.ask(by_command, lambda vehicle: [take_off(height_m, CLIMB_M_S)])
         streamer.engage(row for row in all_rows if self._custody.counted_on(row))  # no take-off to cancel any more
         await self._settle(all_rows, f"the take-off height of {height_m:g} m", SETTLE_S + height_m / CLIMB_M_S)
+
+    async def _measure(self) -> None:
+        """Measure how far vehicles wander where they gather, unless that is known.
+
+        Raises:
+            VehicleError: so far that the flight as planned would not keep them apart.
+        """
+        expected, journal = self._task.wander, self._journal
+        if expected is None or self._mission.limits.wander_m is not None:
+            return
+        motion = self._streamer.motion
+        assert motion is not None, "the formation has gathered"
+        sigma_m = await in_the_air(self._fleet, lambda: motion.at(self._time()).position_m, expected.sigma_m)
+        found, plan = expected._replace(sigma_m=sigma_m), self._plan
+        ways = parts_of(plan.gather, plan.approach, plan.home, expected.hold_s)[1:]
+        risk = risk_of(ways, found, self._task.rules.separation_m)
+        journal.recorder.know(wander_in_the_air_m=found.level_m, wander_risk=risk.breaches)
+        if found.level_m > expected.level_m:
+            journal.event("wander", f"vehicles wander by {found.level_m:.2f} m, more than was to be expected")
+        if risk.breaches > MOST_RISK:
+            raise VehicleError(too_often(risk, found, self._task.rules.separation_m, None))
 
     async def _stream(self, rows: Sequence[int], plan: CheckedPlan, still: Motion | None = None) -> None:
         """Fly a plan to its end; while a vehicle is waited for, everybody rests on it.

@@ -36,6 +36,7 @@ from fg_gcs.plan.targets import Charges, Target, centre_of_charge, effective_rad
 from fg_gcs.track.following_core import TrackingSettings
 
 SETPOINTS_HZ = 50.0  # unless a mission says otherwise
+AUTO = 1.2  # times the smallest separation that the closest pair of a formation has which is as small as is safe
 FAULT_SEPARATION_M = 0.5  # likewise; nearer than this quadrotors touch
 DEFAULT_ORIGIN = Geodetic(47.397742, 8.545594, 488.0)  # where PX4's own simulators start, near Zurich
 
@@ -78,8 +79,10 @@ class FormationTable(MissionTable):
         ge=0,
         description="hemisphere: 0, 1 (the pole), as many as leaders (a circle behind them), or one more (both)",
     )
-    edge_m: Positive | None = Field(
-        default=None, description="hemisphere: a number above 0, the distance between neighbouring leaders in metres"
+    edge_m: Positive | Literal["auto"] | None = Field(
+        default=None,
+        description="hemisphere: a number above 0, the distance between neighbouring leaders in metres, or "
+        '"auto" (as small as is safe)',
     )
     leaders_yz_m: list[Ground] | None = Field(
         default=None,
@@ -109,8 +112,11 @@ class FormationTable(MissionTable):
         """
         return Pose(np.array(self.centre_enu_m), rolled(facing(np.array(self.normal_enu)), math.radians(self.roll_deg)))
 
-    def formation(self) -> Formation:
-        """Build the template.
+    def formation(self, separation_m: float) -> Formation:
+        """Build the template; of a hemisphere that is as small as is safe, for vehicles that do not wander.
+
+        Args:
+            separation_m: the smallest distance between two vehicles [m].
 
         Raises:
             ValueError: the keys do not describe a formation; the text says why.
@@ -118,6 +124,9 @@ class FormationTable(MissionTable):
         if self.shape == "hemisphere":
             if self.leaders is None or self.followers is None or self.edge_m is None:
                 raise ValueError("keys are missing; accepted: a hemisphere with leaders, followers and edge_m")
+            if self.edge_m == "auto":
+                smallest = hemisphere(self.leaders, self.followers, 1.0)
+                return hemisphere(self.leaders, self.followers, AUTO * separation_m / smallest.smallest_separation_m)
             return hemisphere(self.leaders, self.followers, self.edge_m)
         if self.leaders_yz_m is None:
             raise ValueError("a key is missing; accepted: a custom shape with leaders_yz_m")
@@ -230,6 +239,12 @@ class LimitsTable(MissionTable):
         default="slow",
         description='"slow", "widen" or "refuse": what is done where vehicles would come nearer than that '
         '(default "slow")',
+    )
+
+    wander_m: NotNegative | None = Field(
+        default=None,
+        description="a number of metres, 0 or more, how far vehicles hover off their places, rms, as seen from above "
+        "(default: as they do on the ground before a flight tells)",
     )
 
     @property
@@ -414,7 +429,7 @@ class Mission(MissionTable):
         """
         limits = self.limits
         return Task(
-            formation=self.formation.formation(),
+            formation=self.formation.formation(limits.separation_m),
             start=self.formation.start(),
             target=self.first_target(),
             hold_depth_m=self.hold.depth_m,
@@ -430,6 +445,7 @@ class Mission(MissionTable):
                 self.fence.box(),
             ),
             formulation=self.plan.formulation,
+            widens=self.formation.edge_m == "auto",
         )
 
     def first_target(self) -> Target:

@@ -79,7 +79,7 @@ def _network_problems(mission: Mission) -> Iterator[Problem]:
 def _formation_problems(mission: Mission) -> Iterator[Problem]:
     table = mission.formation
     try:
-        formation = table.formation()
+        formation = table.formation(mission.limits.separation_m)
     except ValueError as error:
         yield Problem("formation", "shape", str(error))
         return
@@ -152,7 +152,7 @@ def _place_problems(key: str, which: str, point: Point, fence: Fence) -> Iterato
 
 def _size_problems(mission: Mission) -> Iterator[Problem]:
     """Yield what is wrong with the formation at the size that the target requires; each is valid on its own."""
-    formation, radius_m = mission.formation.formation(), mission.first_target().radius_m
+    formation, radius_m = mission.formation.formation(mission.limits.separation_m), mission.first_target().radius_m
     inscribed_m = formation.inscribed_radius_m
     if radius_m == 0.0:
         return

@@ -24,6 +24,7 @@ from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import Trajectory, timed
 from fg_gcs.plan.transit import gather
 from fg_gcs.plan.verification import CheckedPlan, check
+from fg_gcs.plan.wander import Risk, Wander, least_times, parts_of, risk_of, too_often
 from fg_gcs.plan.way_home import plan_home
 
 Indices = NDArray[np.intp]
@@ -45,6 +46,18 @@ class Task:
     rules: Rules
     formulation: FormulationName = "rigid"
     lost_link: LostLinkRule | None = None  # how near vehicles may come when one stops hearing us; None: not computed
+    wander: Wander | None = None  # how far vehicles are from where they are told to be; None: not computed
+    widens: bool = False  # where that is too far for the formation, it is made wider; else the flight is refused
+
+    def times_as_wide(self, times: float) -> Task:
+        """Return the task with a formation so many times as wide."""
+        formation = Formation(times * self.formation.leaders_m, times * self.formation.followers_m)
+        return replace(self, formation=formation)
+
+    @property
+    def edge_m(self) -> float:
+        """The distance between the first two leaders: of a hemisphere, its edge [m]."""
+        return float(np.linalg.norm(self.formation.leaders_m[1] - self.formation.leaders_m[0]))
 
     @property
     def target_enu_m(self) -> Array:
@@ -97,6 +110,7 @@ class FlightPlan:
     faults: dict[str, FaultFigures]  # by the names of the three plans; none: not computed
     task: Task  # what was planned: its formation may be wider than it was asked for
     alone: ByThemselves  # how the swarm comes down when its station is gone
+    risk: Risk | None  # that vehicles which wander come too near to each other; None: not computed
     plan_time_s: float  # flux-guided search
     timing_time_s: float  # timing, transits and checks
 
@@ -125,11 +139,11 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
     """Plan and verify a whole flight.
 
     Where vehicles would come too near to one that stops hearing us, the flight is made slower, or wider, as the task
-    says.
+    says; where they wander too far for its formation, it is made wider if the task may be.
 
     Args:
         task: formation, target and rules.
-        tops_enu_m: the places above the pads where the vehicles are after take-off, shape (V, 3) [m].
+        tops_enu_m: the places above the pads where the vehicles are after take-off, shape (V, 3) [m; ENU].
         stopwatch: returns seconds; planning reads no clock by itself.
 
     Raises:
@@ -138,19 +152,84 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
     slots = len(task.formation.slots_m)
     if len(tops_enu_m) != slots:
         raise PlanError(f"the formation has {slots} slots, but there are {len(tops_enu_m)} vehicles")
+    if task.wander is None:
+        return _kept_in_faults(task, tops_enu_m, stopwatch)
+    wander, separation_m = task.wander, task.rules.separation_m
+    task = replace(task, rules=replace(task.rules, room_m=wander.room_m))
+    if not task.widens:
+        made = _kept_in_faults(task, tops_enu_m, stopwatch)
+        assert made.risk is not None, "the wander is known"
+        if made.risk.is_kept:
+            return made
+        times = least_wide(task, tops_enu_m)
+        raise PlanError(too_often(made.risk, wander, separation_m, times and times * task.edge_m))
+    times = least_wide(task, tops_enu_m)
+    if times is None:
+        risk = _risk(_parts(task, tops_enu_m)[0], task)
+        raise PlanError(too_often(risk, wander, separation_m, None))
+    return _kept_in_faults(task.times_as_wide(max(1.0, times)), tops_enu_m, stopwatch)
+
+
+def _kept_in_faults(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:
+    """Plan a flight, and make it wider for faults if the task says so."""
     if task.lost_link is None or task.lost_link.remedy != "widen":
         return _compiled(task, tops_enu_m, stopwatch)
     problem: PlanError | None = None
     for times in (1.0, *WIDER.tolist()):
-        formation = Formation(times * task.formation.leaders_m, times * task.formation.followers_m)
         try:
-            return _compiled(replace(task, formation=formation), tops_enu_m, stopwatch)
+            return _compiled(task.times_as_wide(times), tops_enu_m, stopwatch)
         except PlanError as error:
             problem = problem or error
     raise PlanError(f"{problem}; no formation up to {WIDER[-1]:g} times as wide helps") from problem
 
 
-def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:
+def least_wide(task: Task, tops_enu_m: Array) -> float | None:
+    """Return how many times as wide a task's formation is at least where its vehicles, which wander, are safe.
+
+    Args:
+        task: with what is known of their wander.
+        tops_enu_m: as :func:`compile_flight` takes them.
+
+    Returns:
+        Less than 1 where it is wider than it need be; None: no size is wide enough, or they stand too near to each
+        other on the ground.
+    """
+    return least_times(lambda times: _risk_of_size(task, tops_enu_m, times))
+
+
+def _risk_of_size(task: Task, tops_enu_m: Array, times: float) -> float:
+    """Expected breaches of a flight in a formation so many times as wide; without a plan for it there is no end."""
+    try:
+        parts, _ = _parts(task.times_as_wide(times), tops_enu_m)
+    except PlanError:
+        return np.inf
+    return _risk(parts, task).breaches
+
+
+def _risk(parts: Mapping[str, CheckedPlan], task: Task) -> Risk:
+    """How often vehicles come too near to each other on a flight's parts, as they wander."""
+    assert task.wander is not None, "asked for where it is known"
+    stages = parts_of(parts["gather"], parts["approach"], parts["home"], task.wander.hold_s)
+    return risk_of(stages, task.wander, task.rules.separation_m)
+
+
+class _Ways(NamedTuple):
+    """What a flight's parts consist of."""
+
+    pieces: dict[str, Sequence[Trajectory]]
+    goal_of: Indices
+    iterates: int
+    plan_time_s: float
+
+
+def _parts(
+    task: Task, tops_enu_m: Array, stopwatch: Callable[[], float] = lambda: 0.0
+) -> tuple[dict[str, CheckedPlan], _Ways]:
+    """Return a flight's parts, verified but for faults, by their names.
+
+    Raises:
+        PlanError: there are none.
+    """
     rules = task.rules
     search = FORMULATIONS[task.formulation]
     began = stopwatch()
@@ -163,24 +242,32 @@ def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> 
     hold = approach.sample(np.array([approach.duration_s])).position_m[0]
     pieces["home"] = plan_home(hold, tops_enu_m, rules).pieces
     free["home"] = check(pieces["home"], rules, task.target_enu_m)
+    return free, _Ways(pieces, into.goal_of, path.iterates, found - began)
+
+
+def _compiled(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:
+    rules = task.rules
+    began = stopwatch()
+    free, ways = _parts(task, tops_enu_m, stopwatch)
     alone = by_themselves(free, tops_enu_m * (1.0, 1.0, 0.0), rules.fence, rules.separation_m)
     rule = task.lost_link
     if rule is not None and alone.heights_m is not None:  # one that hears nothing hovers first
         hovering = tuple(behaviour._replace(lands=False) for behaviour in rule.behaviours)
         rule = replace(rule, behaviours=hovering)
-    kept, rule = _verified(free, pieces, task, rule)
+    kept, rule = _verified(free, ways.pieces, task, rule)
     task = replace(task, lost_link=rule)
-    rim = np.argsort(into.goal_of)[: len(task.formation.leaders_m)]
+    rim = np.argsort(ways.goal_of)[: len(task.formation.leaders_m)]
     return FlightPlan(
         **{name: kept[name][0] for name in STAGES},
-        slot_of=into.goal_of,
+        slot_of=ways.goal_of,
         rim_of=rim,
-        figures=_figures(task, path.iterates, kept["approach"][0], rim),
+        figures=_figures(task, ways.iterates, kept["approach"][0], rim),
         faults={name: figures for name in STAGES if (figures := kept[name][1]) is not None},
         task=task,
         alone=alone,
-        plan_time_s=found - began,
-        timing_time_s=stopwatch() - found,
+        risk=None if task.wander is None else _risk({name: kept[name][0] for name in STAGES}, task),
+        plan_time_s=ways.plan_time_s,
+        timing_time_s=stopwatch() - began - ways.plan_time_s,
     )
 
 

@@ -8,6 +8,8 @@ those of any plan.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -33,7 +35,7 @@ WIDENINGS = (1.0, 1.3, 1.7, 2.2, 3.0)  # of the spacing of the grids that are tr
 
 def spacing_m(rules: Rules) -> float:
     """Return how far apart vehicles are to be horizontally before they land [m]."""
-    return max(CLEARANCE * rules.separation_m, rules.separation_m + DRIFT_M)
+    return max(CLEARANCE * rules.separation_m, rules.separation_m + max(DRIFT_M, rules.room_m))
 
 
 def part(
@@ -50,7 +52,12 @@ def part(
     Raises:
         PlanError: there are no places in the fence, or no lines to them that keep apart.
     """
-    needed_m = spacing_m(rules) if apart_m is None else apart_m
+    if apart_m is None:
+        if rules.room_m > DRIFT_M:
+            with suppress(PlanError):
+                return part(position_enu_m, rules, columns, spacing_m(rules))
+        apart_m = spacing_m(replace(rules, room_m=0.0))
+    needed_m = apart_m
     if _is_parted(position_enu_m, needed_m, columns, rules.separation_m):
         return ()
     now = closest_in_step(position_enu_m, position_enu_m).distance_m

@@ -35,3 +35,4 @@ class Rules:
     limits: Limits
     separation_m: float  # no pair of vehicles comes closer
     fence: Fence  # no vehicle leaves this box; its lower face is the floor
+    room_m: float = 0.0  # that lines between places keep beside the separation, where there is room: for wander

@@ -10,7 +10,7 @@ pair closer.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ Indices = NDArray[np.intp]
 
 CLEARANCE = 1.2  # lines are planned this many times wider than the minimum: room for tracking errors in flight
 OPENINGS = np.arange(1.0, 4.01, 0.1)  # factors tried; beyond four the pads, not the formation, are too tight
+ROOMS = (1.0, 0.5, 0.0)  # shares of the room for wander that lines keep, tried in their order
 IN_PLACE: Array = np.zeros((1, 3))
 SAME_PLACE_M = 1e-3  # a move shorter than this is none
 
@@ -116,10 +117,11 @@ def _open_out(
     An opened formation that would leave the fence is shifted back inside; a shift changes no distance in it.
     """
     centre = formation_m.mean(axis=0)
-    needed_m = CLEARANCE * rules.separation_m
+    least_m = CLEARANCE * rules.separation_m
     low, high = np.array(rules.fence.low_enu_m), np.array(rules.fence.high_enu_m)
     closest = Separation(np.inf, 0.0, (0, 0))
-    for shift_m in shifts_m:
+    rooms_m = sorted({max(least_m, rules.separation_m + share * rules.room_m) for share in ROOMS}, reverse=True)
+    for needed_m, shift_m in product(rooms_m, shifts_m):
         for opening in OPENINGS:
             wide = centre + shift_m + opening * (formation_m - centre)
             wide = wide + np.maximum(low - wide.min(axis=0), 0.0) - np.maximum(wide.max(axis=0) - high, 0.0)
@@ -134,7 +136,7 @@ def _open_out(
                 return member_of, wide, place_of
     blocked = ", or runs into where a vehicle that nobody commands may be" if kept_clear[0] else ""
     raise PlanError(
-        f"no straight lines between pads and formation keep {needed_m:.2f} m apart (with the widest opening they come "
+        f"no straight lines between pads and formation keep {least_m:.2f} m apart (with the widest opening they come "
         f"within {closest.distance_m:.2f} m{blocked}); place the pads or the slots further apart"
     )
 

@@ -1,0 +1,147 @@
+"""How far vehicles will be from where they are told to be, as far as that shows: on the ground, and where they gather.
+
+On the ground a vehicle does not move, so that what its positions do is its estimator's wander. How far it then wanders
+in the air is a matter of its autopilot, see `AutopilotProfile.wander`: as many times what that shows in the air as it
+shows on the ground what others of its kind do.
+
+Positions x that wander slowly by w, with noise n of its own in each, differ after a second by E|dx|^2 = E|dw|^2 +
+2 E|n|^2, and from one to the next by nearly 2 E|n|^2 alone: what lies between is the wander, which is what a vehicle
+follows. A second's difference needs no mean, which ten seconds would not tell of what changes in four.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from fg_gcs.core.arrays import Array
+from fg_gcs.flight.fleet import Fleet
+from fg_gcs.flight.journal import Journal
+from fg_gcs.link.clock import ticks
+from fg_gcs.mission.model import Mission
+from fg_gcs.plan.wander import Wander
+from fg_gcs.wire.autopilots import AutopilotProfile
+
+LOOKS_S: Final = 0.1  # slower than positions come
+SECOND: Final = round(1.0 / LOOKS_S)  # looks in it
+GROUND_S: Final = 10.0  # of looking at vehicles on the ground
+AIR_S: Final = 8.0  # likewise at those that hover
+STILL_M: Final = 1e-3  # positions that move less in a second do not wander at all: simulated particles'
+NONE_M: Final = 0.005  # less than any separation is told to
+SURE: Final = 1.0  # standard deviations of its own that a measured wander is taken wider
+ALIKE: Final = 2.0  # a vehicle that wanders so many times further than its kind is counted by itself
+
+
+async def watched(fleet: Fleet, seconds: float, places: Callable[[], Array]) -> Array:
+    """Return places at instants `LOOKS_S` apart, shape (T, V, 3) [m]; no more than a second's if nothing moves.
+
+    Args:
+        fleet: whose.
+        seconds: for how long [s].
+        places: of its vehicles now, shape (V, 3) [m].
+    """
+    looks: list[Array] = []
+    async for k, _ in ticks(asyncio.get_running_loop().time(), LOOKS_S):
+        looks.append(np.array(places()))
+        still = k == SECOND and np.ptp(looks, axis=0).max(initial=0.0) < STILL_M
+        if still or k >= round(seconds / LOOKS_S) or not fleet.vehicles:
+            break
+    return np.array(looks)
+
+
+def step_m(positions_m: Array) -> Array:
+    """Return by how much each vehicle's wander moves in a second, rms, as seen from above, shape (V,) [m].
+
+    Args:
+        positions_m: at instants `LOOKS_S` apart, shape (T, V, 3) [m].
+    """
+    if len(positions_m) <= SECOND + 1:
+        return np.zeros(positions_m.shape[1])
+    level = positions_m[..., :2]
+    slow, quick = level[SECOND:] - level[:-SECOND], np.diff(level, axis=0)
+    squares: Array = (slow**2).sum(axis=2).mean(axis=0) - (quick**2).sum(axis=2).mean(axis=0)
+    return np.sqrt(np.maximum(squares, 0.0))
+
+
+async def on_the_ground(fleet: Fleet) -> Array:
+    """Return how far vehicles will wander in the air, by how they do on the ground, shape (V, 3) [m; ENU].
+
+    Vehicles of one kind are taken together, but for those that stand out.
+    """
+    positions_m = await watched(fleet, GROUND_S, lambda: fleet.states.position_ned_m)
+    steps_m = step_m(np.nan_to_num(positions_m))
+    sigma_m = np.zeros((len(fleet.vehicles), 3))
+    for profile in {vehicle.profile.name: vehicle.profile for vehicle in fleet.vehicles}.values():
+        rows = np.array([row for row, vehicle in enumerate(fleet.vehicles) if vehicle.profile is profile])
+        kind_m = float(np.median(steps_m[rows]))
+        usual = rows[steps_m[rows] <= ALIKE * kind_m]
+        mean_m = float(np.sqrt((steps_m[usual] ** 2).mean())) if len(usual) else 0.0
+        unsure = 1.0 + SURE / np.sqrt(4.0 * GROUND_S * max(len(usual), 1))  # of two axes in so many seconds
+        expected_m = np.where(steps_m[rows] <= ALIKE * kind_m, mean_m, steps_m[rows]) * unsure
+        sigma_m[rows] = expected_m[:, None] / profile.wander.ground_step_m * np.array(profile.wander.hover_enu_m)
+    return sigma_m
+
+
+async def expected_wander(fleet: Fleet, mission: Mission, journal: Journal) -> Wander | None:
+    """Return how far vehicles will wander in the air: as the mission says, or by how they do on the ground.
+
+    Args:
+        fleet: on the ground, its frames known.
+        mission: what is flown.
+        journal: told of it, and for the record.
+
+    Returns:
+        None: not at all.
+    """
+    given_m, hold_s = mission.limits.wander_m, mission.hold.duration_s
+    if given_m is None:
+        found = Wander(await on_the_ground(fleet), hold_s)
+    else:
+        found = Wander(np.array([usual(vehicle.profile, given_m) for vehicle in fleet.vehicles]), hold_s)
+    journal.recorder.know(wander_m=found.level_m, wander_is_measured=given_m is None)
+    if found.level_m < NONE_M:
+        return None
+    source = "by how they do on the ground" if given_m is None else "as the mission says"
+    journal.event("wander", f"vehicles are expected to wander by {found.level_m:.2f} m in the air, {source}")
+    return found
+
+
+def usual(profile: AutopilotProfile, level_m: float | None = None) -> Array:
+    """Return how far vehicles of an autopilot wander, shape (3,) [m; ENU].
+
+    Args:
+        profile: of the autopilot.
+        level_m: rms as seen from above [m]; None: as its profile has it.
+    """
+    hover_m = np.array(profile.wander.hover_enu_m)
+    return hover_m if level_m is None else hover_m * (level_m / np.hypot(hover_m[0], hover_m[1]))
+
+
+async def in_the_air(fleet: Fleet, told_enu_m: Callable[[], Array], expected_m: Array) -> Array:
+    """Return how far vehicles that hover are from where they are told to be, shape (V, 3) [m; ENU].
+
+    Their estimates show a part of it alone; which one is a matter of the autopilot. What is common to all of them
+    brings nobody nearer to anybody. Where what was expected may be as true, that stays.
+
+    Args:
+        fleet: its vehicles hover.
+        told_enu_m: where they are told to be, shape (V, 3) [m].
+        expected_m: as :func:`on_the_ground` has it.
+    """
+    loop = asyncio.get_running_loop()
+    errors_m = await watched(fleet, AIR_S, lambda: fleet.located(loop.time()).position_enu_m - told_enu_m())
+    apart_m = errors_m - errors_m.mean(axis=1, keepdims=True)
+    count = len(fleet.vehicles)
+    shown_m = np.sqrt((apart_m[..., :2] ** 2).mean(axis=0) * count / max(count - 1, 1))  # (V, 2)
+    found_m = expected_m.copy()
+    for profile in {vehicle.profile.name: vehicle.profile for vehicle in fleet.vehicles}.values():
+        rows = np.array([row for row, vehicle in enumerate(fleet.vehicles) if vehicle.profile is profile])
+        level_m = float(np.sqrt((shown_m[rows] ** 2).sum(axis=1).mean()))
+        hover_m = np.array(profile.wander.hover_enu_m)
+        times = level_m / profile.wander.shown_m
+        unsure = SURE * 2.0 / np.sqrt(AIR_S * len(rows))  # errors that change in some two seconds, of two axes
+        found_m[rows] = np.maximum(expected_m[rows], times * (1.0 - unsure) * hover_m)
+    return found_m
