@@ -174,6 +174,14 @@ def _add_world(parser: argparse.ArgumentParser) -> None:
         help="mean wind speed in m/s, with gusts (default: still air)",
     )
     add(
+        "--noise",
+        type=float,
+        default=None,
+        metavar="M",
+        help="how far vehicles hover off their places under measured dynamics, rms in metres (default: as measured: "
+        "px4 0.69, ardupilot 0.02)",
+    )
+    add(
         "--dynamics",
         choices=("paper", "measured"),
         default="paper",
@@ -246,6 +254,7 @@ def options_of(arguments: argparse.Namespace) -> SimulatorOptions:
         speed=arguments.speed,
         real_boot=arguments.real_boot,
         wind_m_s=arguments.wind,
+        noise_m=arguments.noise,
         targets=targets,
         truth=arguments.truth,
         collisions=not arguments.harmless,

@@ -4,9 +4,9 @@ On the ground a vehicle does not move, so that what its positions do is its esti
 in the air is a matter of its autopilot, see `AutopilotProfile.wander`: as many times what that shows in the air as it
 shows on the ground what others of its kind do.
 
-Positions x that wander slowly by w, with noise n of its own in each, differ after a second by E|dx|^2 = E|dw|^2 +
+Positions x that wander slowly by w, with noise n of its own in each, differ after half a second by E|dx|^2 = E|dw|^2 +
 2 E|n|^2, and from one to the next by nearly 2 E|n|^2 alone: what lies between is the wander, which is what a vehicle
-follows. A second's difference needs no mean, which ten seconds would not tell of what changes in four.
+follows. Differences need no mean, which ten seconds would not tell of what changes in four.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from fg_gcs.plan.wander import Wander
 from fg_gcs.wire.autopilots import AutopilotProfile
 
 LOOKS_S: Final = 0.1  # slower than positions come
-SECOND: Final = round(1.0 / LOOKS_S)  # looks in it
+APART: Final = round(0.5 / LOOKS_S)  # looks that differences of positions are taken over
 GROUND_S: Final = 10.0  # of looking at vehicles on the ground
 AIR_S: Final = 8.0  # likewise at those that hover
-STILL_M: Final = 1e-3  # positions that move less in a second do not wander at all: simulated particles'
+STILL: Final = (round(1.0 / LOOKS_S), 1e-3)  # looks; positions that move less [m] in those do not wander: particles'
 NONE_M: Final = 0.005  # less than any separation is told to
-SURE: Final = 1.0  # standard deviations of its own that a measured wander is taken wider
+SURE: Final = 0.5  # standard deviations of its own that a measured wander is taken wider
 ALIKE: Final = 2.0  # a vehicle that wanders so many times further than its kind is counted by itself
 
 
 async def watched(fleet: Fleet, seconds: float, places: Callable[[], Array]) -> Array:
-    """Return places at instants `LOOKS_S` apart, shape (T, V, 3) [m]; no more than a second's if nothing moves.
+    """Return places at instants `LOOKS_S` apart, shape (T, V, 3) [m]; no more than `STILL` has if nothing moves.
 
     Args:
         fleet: whose.
@@ -46,22 +46,22 @@ async def watched(fleet: Fleet, seconds: float, places: Callable[[], Array]) -> 
     looks: list[Array] = []
     async for k, _ in ticks(asyncio.get_running_loop().time(), LOOKS_S):
         looks.append(np.array(places()))
-        still = k == SECOND and np.ptp(looks, axis=0).max(initial=0.0) < STILL_M
+        still = k == STILL[0] and np.ptp(looks, axis=0).max(initial=0.0) < STILL[1]
         if still or k >= round(seconds / LOOKS_S) or not fleet.vehicles:
             break
     return np.array(looks)
 
 
 def step_m(positions_m: Array) -> Array:
-    """Return by how much each vehicle's wander moves in a second, rms, as seen from above, shape (V,) [m].
+    """Return by how much each vehicle's wander moves in half a second, rms, as seen from above, shape (V,) [m].
 
     Args:
         positions_m: at instants `LOOKS_S` apart, shape (T, V, 3) [m].
     """
-    if len(positions_m) <= SECOND + 1:
+    if len(positions_m) <= APART + 1:
         return np.zeros(positions_m.shape[1])
     level = positions_m[..., :2]
-    slow, quick = level[SECOND:] - level[:-SECOND], np.diff(level, axis=0)
+    slow, quick = level[APART:] - level[:-APART], np.diff(level, axis=0)
     squares: Array = (slow**2).sum(axis=2).mean(axis=0) - (quick**2).sum(axis=2).mean(axis=0)
     return np.sqrt(np.maximum(squares, 0.0))
 
@@ -79,7 +79,7 @@ async def on_the_ground(fleet: Fleet) -> Array:
         kind_m = float(np.median(steps_m[rows]))
         usual = rows[steps_m[rows] <= ALIKE * kind_m]
         mean_m = float(np.sqrt((steps_m[usual] ** 2).mean())) if len(usual) else 0.0
-        unsure = 1.0 + SURE / np.sqrt(4.0 * GROUND_S * max(len(usual), 1))  # of two axes in so many seconds
+        unsure = 1.0 + SURE / np.sqrt(8.0 * GROUND_S * max(len(usual), 1))  # of two axes, twice a second
         expected_m = np.where(steps_m[rows] <= ALIKE * kind_m, mean_m, steps_m[rows]) * unsure
         sigma_m[rows] = expected_m[:, None] / profile.wander.ground_step_m * np.array(profile.wander.hover_enu_m)
     return sigma_m

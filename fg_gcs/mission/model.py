@@ -353,6 +353,13 @@ class SimulatorTable(MissionTable):
     dynamics: Literal["paper", "measured"] = Field(
         default="paper", description='"paper" or "measured": as the real autopilots fly (default "paper")'
     )
+    noise_m: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=10.0,
+        description='0 to 10 metres that vehicles hover off their places with dynamics "measured", rms, as seen from '
+        "above (default: as measured)",
+    )
     collisions: bool = Field(default=True, description="true or false (default true)")
     strict_commands: bool = Field(default=False, description="true or false (default false)")
     new_partner: bool = Field(default=False, description="true or false (default false)")

@@ -23,7 +23,7 @@ from fg_gcs.plan.verification import CheckedPlan
 
 Indices = NDArray[np.intp]
 
-RISK: Final = 0.001  # a pair too near in a flight: few enough that a bound of 95 % over 500 flights is 1 %
+RISK: Final = 0.002  # a pair too near in a flight: few enough that a bound of 95 % over 500 flights is 1 %
 CROSSES_PER_S: Final = (
     0.1  # how often a wander passes its mean in one direction: PX4's 0.07, see docs/measured-dynamics
 )
@@ -42,10 +42,12 @@ class Wander(NamedTuple):
     Attributes:
         sigma_m: standard deviation of each, shape (V, 3) [m; ENU].
         hold_s: for how long the flight holds around its target [s].
+        lag_s: by how much they lag behind differently, standard deviation [s]; what all do alike brings nobody nearer.
     """
 
     sigma_m: Array
     hold_s: float
+    lag_s: float = 0.0
 
     @property
     def level_m(self) -> float:
@@ -79,52 +81,68 @@ class Risk(NamedTuple):
         return self.breaches <= RISK
 
 
-def risk_of(parts: Iterable[tuple[str, Array, Array]], wander: Wander, separation_m: float) -> Risk:
+class Part(NamedTuple):
+    """Where vehicles are told to be in one stage of a flight.
+
+    Attributes:
+        stage: its name.
+        position_m: at some instants, shape (T, V, 3) [m; ENU].
+        velocity_m_s: likewise [m/s].
+        spans_s: for how long each of them counts, shape (T,) [s].
+    """
+
+    stage: str
+    position_m: Array
+    velocity_m_s: Array
+    spans_s: Array
+
+
+def risk_of(parts: Iterable[Part], wander: Wander, separation_m: float) -> Risk:
     """Return how often a pair comes too near in a flight.
 
     Args:
-        parts: names of stages, where vehicles are told to be at some instants, shape (T, V, 3) [m], and for how long
-            each of them counts, shape (T,) [s].
-        wander: how far vehicles are from there.
+        parts: its stages.
+        wander: how far vehicles are from where they are told to be.
         separation_m: the minimum [m].
     """
     total, worst = 0.0, Risk(-1.0, "", (0, 1), np.inf)
-    for stage, places_m, spans_s in parts:
-        first, second = np.triu_indices(places_m.shape[1], k=1)
-        expected, nearest_m = _of_pairs(places_m, spans_s, (first, second), wander.sigma_m, separation_m)
+    for part in parts:
+        first, second = np.triu_indices(part.position_m.shape[1], k=1)
+        expected, nearest_m = _of_pairs(part, (first, second), wander, separation_m)
         most = int(expected.argmax())
         found = float(expected.sum())
         total += found
         if found > worst.breaches:
-            worst = Risk(found, stage, (int(first[most]), int(second[most])), float(nearest_m[most]))
+            worst = Risk(found, part.stage, (int(first[most]), int(second[most])), float(nearest_m[most]))
     return worst._replace(breaches=total)
 
 
-def _of_pairs(
-    places_m: Array, spans_s: Array, pairs: tuple[Indices, Indices], sigma_m: Array, separation_m: float
-) -> tuple[Array, Array]:
+def _of_pairs(part: Part, pairs: tuple[Indices, Indices], wander: Wander, separation_m: float) -> tuple[Array, Array]:
     """Expected breaches of each pair, shape (P,), and its smallest distance as planned, shape (P,) [m]."""
     first, second = pairs
-    variances = sigma_m[first] ** 2 + sigma_m[second] ** 2  # (P, 3)
+    variances = wander.sigma_m[first] ** 2 + wander.sigma_m[second] ** 2  # (P, 3)
     crossings, nearest_m, least = np.zeros(len(first)), np.full(len(first), np.inf), np.full(len(first), np.inf)
     rows = max(1, BLOCK_ELEMENTS // max(1, len(first)))
-    for start in range(0, len(places_m), rows):
-        gaps = places_m[start : start + rows, first] - places_m[start : start + rows, second]  # (t, P, 3)
-        squares = (gaps**2).sum(axis=2)
-        distances = np.sqrt(squares)
-        along = np.einsum("tpk,pk->tp", gaps**2, variances) / np.maximum(squares, np.finfo(float).tiny)
+    for start in range(0, len(part.position_m), rows):
+        places_m, spans_s = part.position_m[start : start + rows], part.spans_s[start : start + rows]
+        gaps = places_m[:, first] - places_m[:, second]  # (t, P, 3)
+        squares = np.maximum((gaps**2).sum(axis=2), np.finfo(float).tiny)
+        along = np.einsum("tpk,pk->tp", gaps**2, variances)
+        if wander.lag_s > 0.0:
+            velocity_m_s = part.velocity_m_s[start : start + rows]
+            for each in pairs:
+                along += (wander.lag_s * np.einsum("tpk,tpk->tp", gaps, velocity_m_s[:, each])) ** 2
+        along, distances = along / squares, np.sqrt(squares)
         margins = np.maximum(distances - separation_m, 0.0)
         shares = np.divide(margins, np.sqrt(along), out=np.full_like(margins, np.inf), where=along > 0.0)
-        crossings += CROSSES_PER_S * (spans_s[start : start + rows, None] * np.exp(-0.5 * shares**2)).sum(axis=0)
+        crossings += CROSSES_PER_S * (spans_s[:, None] * np.exp(-0.5 * shares**2)).sum(axis=0)
         nearest_m = np.minimum(nearest_m, distances.min(axis=0))
         least = np.minimum(least, shares.min(axis=0))
     return crossings + ndtr(-least), nearest_m
 
 
-def parts_of(
-    gather: CheckedPlan, approach: CheckedPlan, home: CheckedPlan, hold_s: float
-) -> list[tuple[str, Array, Array]]:
-    """Return the stages of a flight as :func:`risk_of` takes them: above the pads, on its plans, and at rest between.
+def parts_of(gather: CheckedPlan, approach: CheckedPlan, home: CheckedPlan, hold_s: float) -> list[Part]:
+    """Return the stages of a flight: above the pads, on its plans, and at rest between them.
 
     Args:
         gather: from above the pads.
@@ -132,12 +150,14 @@ def parts_of(
         home: back to above the pads.
         hold_s: around the target [s].
     """
-    found = [(ON_PADS, gather.sample(np.zeros(1)).position_m, np.array([ABOVE_PADS_S]))]
+    pads = gather.sample(np.zeros(1)).position_m
+    found = [Part(ON_PADS, pads, np.zeros_like(pads), np.array([ABOVE_PADS_S]))]
     for name, plan, rests_s in (("gather", gather, SETTLES_S), ("approach", approach, hold_s), ("home", home, 0.0)):
         instants = np.linspace(0.0, plan.duration_s, max(2, int(plan.duration_s / LOOKS_S) + 1))
         spans = np.full(len(instants), plan.duration_s / len(instants))
         spans[-1] += rests_s
-        found.append((name, plan.sample(instants).position_m, spans))
+        sample = plan.sample(instants)
+        found.append(Part(name, sample.position_m, sample.velocity_m_s, spans))
     return found
 
 

@@ -114,6 +114,7 @@ def options_of(mission: Mission, wanted: SimulatorWish, port: int, truth: Path |
         origin_deg_m=(*mission.origin_geodetic(),),
         seed=mission.simulator.seed,
         wind_m_s=mission.simulator.wind_m_s,
+        noise_m=mission.simulator.noise_m if wanted.dynamics == "measured" else None,
         dynamics=wanted.dynamics,
         collisions=mission.simulator.collisions,
         manners=Manners(**{name: getattr(mission.simulator, name) for name in MANNERS}),
@@ -324,6 +325,8 @@ def _arguments(mission: Mission, wanted: SimulatorWish, port: int, speed: float,
         "truth": truth,
     }
     switches = [f"--{name.replace('_', '-')}" for name in MANNERS if getattr(mission.simulator, name)]
+    if mission.simulator.noise_m is not None and wanted.dynamics == "measured":
+        values["noise"] = mission.simulator.noise_m
     if wanted.signing_key is not None:
         values["signing-key"] = wanted.signing_key.absolute()
     if not mission.simulator.collisions:

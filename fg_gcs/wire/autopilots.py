@@ -114,7 +114,8 @@ class WanderProfile:
     """How far vehicles of one autopilot are from where they are told to be, as measured.
 
     Attributes:
-        ground_step_m: By how much their estimates move in a second on the ground, rms, as seen from above [m].
+        ground_step_m: By how much their estimates move in half a second on the ground, less what they do from one look
+            to the next, rms, as seen from above [m].
         hover_enu_m: How far they truly are from their places in the air, standard deviation without what all of them
             have in common [m; ENU].
         shown_m: How much of that their estimates show, rms, as seen from above [m].
@@ -284,7 +285,7 @@ PX4: Final = AutopilotProfile(
     encoding=Encoding.BYTEWISE,
     drag_is_compensated=True,
     globe=EquidistantGlobe(6_371_000.0),
-    wander=WanderProfile(0.062, (0.63, 0.29, 0.40), 0.39),
+    wander=WanderProfile(0.0427, (0.63, 0.29, 0.40), 0.39),
     limits=(
         _limit("speed_m_s", MPC_XY_VEL_MAX=1.0),
         _limit("climb_m_s", MPC_Z_VEL_MAX_UP=1.0),
@@ -341,7 +342,7 @@ ARDUPILOT: Final = AutopilotProfile(
     encoding=Encoding.CAST,
     drag_is_compensated=False,
     globe=EquirectangularGlobe(6_378_100.0),
-    wander=WanderProfile(0.0031, (0.02, 0.02, 0.02), 0.02),
+    wander=WanderProfile(0.0020, (0.02, 0.02, 0.02), 0.02),
     limits=(  # newer firmware than the measured one renamed them and went from centimetres to metres
         _limit("speed_m_s", WPNAV_SPEED=0.01, WP_SPD=1.0),
         _limit("climb_m_s", WPNAV_SPEED_UP=0.01, WP_SPD_UP=1.0),

@@ -34,6 +34,7 @@ from sitl_mock.protocol.signing import Signing, SigningTime
 
 DYNAMICS = ("paper", "measured")
 FARTHEST_M = 1e5  # of a pad: beyond, the world is not flat any more
+MOST_NOISE_M = 10.0  # that a vehicle hovers off its place
 TIME_SLACK_S = 1e-9  # a step whose time floating point put a hair behind now is due
 WORST_ERROR_SIGMAS = 2.2  # measured origins: standard deviation 0.17 and 0.35 m, worst 0.39 and 0.75 m
 
@@ -50,6 +51,7 @@ class FleetOptions:
         seed: of everything random: origin errors, drifts and wind.
         real_boot: boot as slowly as the real autopilots.
         wind_m_s: mean wind [m/s], with gusts; 0 is still air.
+        noise_m: how far vehicles hover off their places under measured dynamics, rms [m]; None: as measured.
         dynamics: "paper": the paper's particle; "measured": what the real autopilots were measured to do.
         manners: of other versions of the autopilot.
         faults: inside vehicles, see `sitl_mock.parse_fault`.
@@ -68,6 +70,7 @@ class FleetOptions:
     seed: int = 0
     real_boot: bool = False
     wind_m_s: float = 0.0
+    noise_m: float | None = None
     dynamics: str = "paper"
     manners: Manners = field(default_factory=Manners)
     faults: tuple[FaultOptions, ...] = ()
@@ -96,6 +99,8 @@ class FleetOptions:
             raise ValueError(f"dynamics {self.dynamics!r} is not one of: {', '.join(DYNAMICS)}")
         if not self.wind_m_s >= 0.0:
             raise ValueError(f"the wind must not be negative: {self.wind_m_s:g} m/s")
+        if self.noise_m is not None and not (0.0 <= self.noise_m <= MOST_NOISE_M and self.dynamics == "measured"):
+            raise ValueError(f"noise is of measured dynamics, from 0 to {MOST_NOISE_M:g} m: {self.noise_m:g} m")
         check_system_ids(self.system_ids)
         for manner in fields(self.manners):
             if getattr(self.manners, manner.name) and manner.name not in profile_of(self.autopilot).manners:
@@ -153,6 +158,8 @@ class Fleet:
         pads_ned_m = np.array([(north, east, 0.0) for east, north in options.pads_enu_m]).reshape(-1, 3)  # (V, 3)
         errors, drifts, wind = np.random.default_rng(options.seed).spawn(3)
         model = profiles.flight_model(options.autopilot) if options.dynamics == "measured" else None
+        if model is not None and options.noise_m is not None:
+            model = model.noisy(options.noise_m)
         self.swarm = Swarm(self.physics, pads_ned_m, options.wind_m_s, wind, model)
         sigma = np.array([rules.profile.position_error_m[0]] * 2 + [rules.profile.position_error_m[1]])
         noise = np.clip(errors.standard_normal(pads_ned_m.shape), -WORST_ERROR_SIGMAS, WORST_ERROR_SIGMAS) * sigma

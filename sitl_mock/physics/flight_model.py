@@ -2,6 +2,7 @@
 
 ```toml
 law = "direct"                # setpoints straight into P and PID; "shaped": jerk-limited shaping first
+hover_m = 0.5                 # how far a vehicle hovers off its place, rms, as seen from above, as measured
 [model]                       # one key a column of `records.MODEL`; vectors as [north, east, down]
 [spread]                      # standard deviation of a column from vehicle to vehicle, as a share of it
 [parameters]                  # which autopilot parameter sets which column: NAME = { column, scale }
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from sitl_mock.physics.arrays import Array
 from sitl_mock.physics.records import MODEL
 
 LAWS = ("direct", "shaped")
+WANDERS = ("wander_sigma_m", "wander_sigma_m_s")  # columns of the estimator's errors
 SPREAD_MOST = 2.5  # in standard deviations
 
 
@@ -34,12 +36,14 @@ class FlightModel:
         values: columns of `records.MODEL`, SI units; absent ones are 0.
         spread: standard deviation from vehicle to vehicle, as a share of the value.
         parameters: by the name of an autopilot's parameter, the column that it sets and the factor to SI units.
+        hover_m: how far a vehicle hovers off its place, rms, as seen from above, without what all do alike [m].
     """
 
     law: str | None
     values: Mapping[str, float | tuple[float, ...]]
     spread: Mapping[str, float]
     parameters: Mapping[str, tuple[str, float]]
+    hover_m: float = 0.0
 
     def __post_init__(self) -> None:
         columns = set(MODEL.names or ())
@@ -50,6 +54,12 @@ class FlightModel:
             raise ValueError(f"the flight model lacks {', '.join(missing)}")
         if self.law is not None and self.law not in LAWS:
             raise ValueError(f"law {self.law!r} is not one of: {', '.join(LAWS)}")
+
+    def noisy(self, level_m: float) -> FlightModel:
+        """Return it with an estimator that makes it hover so far off its place [m] instead of `hover_m`."""
+        times = level_m / self.hover_m
+        scaled = {name: tuple(times * x for x in np.atleast_1d(self.values[name])) for name in WANDERS}
+        return replace(self, values={**self.values, **scaled}, hover_m=level_m)
 
     def table(self, vehicles: int, random: np.random.Generator) -> tuple[NDArray[np.void], dict[str, Array]]:
         """The numbers of each vehicle.
@@ -87,4 +97,4 @@ def read_flight_model(text: str) -> FlightModel:
     tables: Mapping[str, Any] = tomllib.loads(text)
     values = {key: tuple(value) if isinstance(value, list) else value for key, value in tables["model"].items()}
     parameters = {name: (entry["column"], entry["scale"]) for name, entry in tables["parameters"].items()}
-    return FlightModel(tables["law"], values, tables["spread"], parameters)
+    return FlightModel(tables["law"], values, tables["spread"], parameters, tables["hover_m"])
