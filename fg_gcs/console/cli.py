@@ -11,6 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TypeAlias
 
+from fg_gcs.console.plan_options import add_plan
+
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 # it has no other name
 
 EXPERIMENTS = ("table1", "times", "sensitivity", "multi", "formulations", "moving", "measured", "figures", "all")
@@ -105,7 +107,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
     _add_fly(commands)
-    _add_plan(commands)
+    add_plan(commands)
     _add_sim(commands)
     _add_experiment(commands)
     _add_bench(commands)
@@ -226,16 +228,6 @@ def _add_signing_key(command: argparse.ArgumentParser) -> None:
         help="sign all that is sent, and take nothing that is not signed with this key (MAVLink 2): 32 bytes, 64 "
         "hexadecimal digits or a passphrase, in a file that nobody else may read; NAME=FILE is for one network",
     )
-
-
-def _add_plan(commands: Commands) -> None:
-    plan = commands.add_parser("plan", help="plan missions without flying", description="Plan and verify missions.")
-    plan.add_argument("missions", type=Path, nargs="+", metavar="MISSION")
-    plan.add_argument("--json", action="store_true", help="print one JSON object a mission on stdout")
-    plan.add_argument("--plot", type=Path, metavar="FILE", help="draw the plan (png, svg or pdf); one mission only")
-
-    check = commands.add_parser("check", help="validate mission files", description="Validate mission files.")
-    check.add_argument("missions", type=Path, nargs="+", metavar="MISSION")
 
 
 def _add_sim(commands: Commands) -> None:
@@ -447,7 +439,7 @@ def _run(chosen: argparse.Namespace) -> int:
         case "plan":
             from fg_gcs.console.plan import plan
 
-            return plan(chosen.missions, as_json=chosen.json, plot=chosen.plot)
+            return plan(chosen)
         case "check":
             from fg_gcs.console.plan import check
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,20 +19,24 @@ from fg_gcs.run.planning import PlannedMission
 from fg_gcs.run.simulators import check_simulator, wish_of
 
 
-def plan(paths: Sequence[Path], *, as_json: bool, plot: Path | None) -> ExitCode:
+def plan(chosen: argparse.Namespace) -> ExitCode:
     """Plan missions without flying; people read a few lines, programs one JSON line a mission.
+
+    Args:
+        chosen: as `plan_options` has it.
 
     Raises:
         FgError: a file is at fault, or has no plan; the missions before it were told already.
     """
-    if plot is not None and len(paths) > 1:
+    plot: Path | None = chosen.plot
+    if plot is not None and len(chosen.missions) > 1:
         raise MissionError("--plot draws one mission; name only one file")
-    missions = [load_mission(path) for path in paths]
+    missions = [load_mission(path) for path in chosen.missions]
     tell_if_not_built(missions)
     for mission in missions:
-        made = planning.plan(mission)
+        made = planning.plan(mission, chosen.wander, chosen.lag)
         print(_words(made), file=sys.stderr)
-        if as_json:
+        if chosen.json:
             print(json.dumps(plain(dict(made.figures))), flush=True)
         if plot is not None:
             made.draw(plot)
@@ -92,7 +98,21 @@ def _words(planned: PlannedMission) -> str:
             f"at most {made.peaks.speed_m_s:.2f} m/s and {made.peaks.acceleration_m_s2:.2f} m/s^2",
             f"  separation  {made.separation.distance_m:.2f} m at least (vehicles {pair[0]} and {pair[1]}), "
             "on the whole flight",
+            *_wander_words(planned),
             *(f"  in faults   {line}" for line in planned.in_fault),
             f"  planned in  {1e3 * (made.plan_time_s + made.timing_time_s):.1f} ms",
         )
     )
+
+
+def _wander_words(planned: PlannedMission) -> list[str]:
+    figures, risk = planned.figures, planned.flight.risk
+    if risk is None:
+        return []
+    least = figures["smallest_edge_m"]
+    smallest = "" if least is None else f"; the smallest edge that is safe is {least:.1f} m"
+    share = -100.0 * math.expm1(-risk.breaches)
+    return [
+        f"  wander      {figures['wander_m']:.2f} m: in {share:.2g} % of flights two come "
+        f"below {planned.task.rules.separation_m:.2f} m with an edge of {figures['edge_m']:.1f} m{smallest}"
+    ]

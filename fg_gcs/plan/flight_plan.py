@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.coverage import coverage, flux_metric, least_after_facing
@@ -24,7 +25,7 @@ from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import Trajectory, timed
 from fg_gcs.plan.transit import gather
 from fg_gcs.plan.verification import CheckedPlan, check
-from fg_gcs.plan.wander import Risk, Wander, least_times, parts_of, risk_of, too_often
+from fg_gcs.plan.wander import Risk, Wander, least_pads, least_times, parts_of, risk_of, too_often
 from fg_gcs.plan.way_home import plan_home
 
 Indices = NDArray[np.intp]
@@ -161,13 +162,17 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
         assert made.risk is not None, "the wander is known"
         if made.risk.is_kept:
             return made
+        risk = made.risk
+    else:
         times = least_wide(task, tops_enu_m)
-        raise PlanError(too_often(made.risk, wander, separation_m, times and times * task.edge_m))
-    times = least_wide(task, tops_enu_m)
-    if times is None:
+        if times is not None:
+            return _kept_in_faults(task.times_as_wide(max(1.0, times)), tops_enu_m, stopwatch)
         risk = _risk(_parts(task, tops_enu_m)[0], task)
-        raise PlanError(too_often(risk, wander, separation_m, None))
-    return _kept_in_faults(task.times_as_wide(max(1.0, times)), tops_enu_m, stopwatch)
+    pads = least_pads(tops_enu_m, wander, separation_m)
+    wider_m = pads * (tops_enu_m - tops_enu_m.mean(axis=0)) + tops_enu_m.mean(axis=0)
+    times = least_wide(task, wider_m)
+    apart_m = float(pdist(wider_m).min()) if pads > 1.0 else None
+    raise PlanError(too_often(risk, wander, separation_m, times and times * task.edge_m, apart_m))
 
 
 def _kept_in_faults(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:

@@ -30,7 +30,8 @@ CROSSES_PER_S: Final = (
 LOOKS_S: Final = 0.2  # between two looks at a plan: a tenth of the time in which a wander changes
 ABOVE_PADS_S: Final = 30.0  # taking off, settling there after the way home, and landing
 ROOM: Final = 4.2  # standard deviations of a pair that lines between places keep where there is room
-WIDEST, NARROWEST, STEP = 8.0, 0.1, 1.25  # times its size that a formation is tried at, and the steps to there
+WIDEST, NARROWEST, STEP = 8.0, 0.1, 1.1  # times its size that a formation is tried at, and the steps to there
+MOST: Final = 99.0  # percent of flights: nearly all
 EXACT: Final = 1.005  # to which the least size is told
 ON_PADS: Final = "take-off and landing"
 SETTLES_S: Final = 12.0  # where the formation gathers: until it has settled, and is measured
@@ -150,8 +151,7 @@ def parts_of(gather: CheckedPlan, approach: CheckedPlan, home: CheckedPlan, hold
         home: back to above the pads.
         hold_s: around the target [s].
     """
-    pads = gather.sample(np.zeros(1)).position_m
-    found = [Part(ON_PADS, pads, np.zeros_like(pads), np.array([ABOVE_PADS_S]))]
+    found = [_above_pads(gather.sample(np.zeros(1)).position_m[0])]
     for name, plan, rests_s in (("gather", gather, SETTLES_S), ("approach", approach, hold_s), ("home", home, 0.0)):
         instants = np.linspace(0.0, plan.duration_s, max(2, int(plan.duration_s / LOOKS_S) + 1))
         spans = np.full(len(instants), plan.duration_s / len(instants))
@@ -159,6 +159,11 @@ def parts_of(gather: CheckedPlan, approach: CheckedPlan, home: CheckedPlan, hold
         sample = plan.sample(instants)
         found.append(Part(name, sample.position_m, sample.velocity_m_s, spans))
     return found
+
+
+def _above_pads(tops_enu_m: Array) -> Part:
+    """Taking off and landing, above the pads, shape (V, 3) [m]."""
+    return Part(ON_PADS, tops_enu_m[None], np.zeros((1, *tops_enu_m.shape)), np.array([ABOVE_PADS_S]))
 
 
 def least_times(risk_at: Callable[[float], float]) -> float | None:
@@ -184,7 +189,25 @@ def least_times(risk_at: Callable[[float], float]) -> float | None:
     return high
 
 
-def too_often(risk: Risk, wander: Wander, separation_m: float, edge_m: float | None) -> str:
+def least_pads(tops_enu_m: Array, wander: Wander, separation_m: float) -> float:
+    """Return how many times further apart vehicles must take off at least, for half the risk of a flight; at least 1.
+
+    Args:
+        tops_enu_m: the places above their pads, shape (V, 3) [m].
+        wander: how far they are from there.
+        separation_m: the minimum [m].
+    """
+
+    def risk_at(times: float) -> float:
+        return 2.0 * risk_of([_above_pads(times * tops_enu_m)], wander, separation_m).breaches
+
+    found = least_times(risk_at)
+    return WIDEST if found is None else max(1.0, found)
+
+
+def too_often(
+    risk: Risk, wander: Wander, separation_m: float, edge_m: float | None, pads_m: float | None = None
+) -> str:
     """Return why a flight is refused, and what would do, in one line.
 
     Args:
@@ -192,14 +215,17 @@ def too_often(risk: Risk, wander: Wander, separation_m: float, edge_m: float | N
         wander: of its vehicles.
         separation_m: the minimum [m].
         edge_m: the least edge that would do [m]; None: none does.
+        pads_m: how far apart vehicles must take off [m]; None: where they stand.
     """
     first, second = risk.pair
     share = -100.0 * np.expm1(-risk.breaches)
-    helps = "place the pads further apart" if risk.stage == ON_PADS else "no formation is wide enough in this fence"
+    often = "in nearly all flights" if share > MOST else f"in {share:.2g} % of flights"
+    helps = "no formation is wide enough in this fence"
     if edge_m is not None:
         helps = f"the smallest edge that is safe is {edge_m:.1f} m"
+    if pads_m is not None:
+        helps += f", with vehicles {pads_m:.1f} m apart on the ground"
     return (
-        f"vehicles wander by {wander.level_m:.2f} m, so that in {share:.2g} % of flights two come below "
-        f"{separation_m:.2f} m: vehicles {first + 1} and {second + 1} are {risk.distance_m:.2f} m apart as planned "
-        f"({risk.stage}); {helps}"
+        f"vehicles wander by {wander.level_m:.2f} m, so that {often} two come below {separation_m:.2f} m: vehicles "
+        f"{first + 1} and {second + 1} are {risk.distance_m:.2f} m apart as planned ({risk.stage}); {helps}"
     )

@@ -9,11 +9,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+import numpy as np
+
 from fg_gcs.errors import PlanError
 from fg_gcs.flight.lost_links import expected_rule
+from fg_gcs.flight.wander import usual
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.compiled import build
-from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, plan_figures
+from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, least_wide, plan_figures
+from fg_gcs.plan.wander import Wander
 from fg_gcs.wire.address import MAIN, VehicleAddress
 from fg_gcs.wire.autopilots import ARDUPILOT, PX4
 
@@ -59,17 +63,52 @@ class PlannedMission:
         plot_plan(self.flight, self.task, path)
 
 
-def plan(mission: Mission) -> PlannedMission:
+def plan(mission: Mission, wander_m: float | str | None = None, lag_s: float = 0.0) -> PlannedMission:
     """Plan all of a mission's flight, from the pads that it names, and verify it against limits, fence and separation.
+
+    Args:
+        mission: what to plan.
+        wander_m: how far vehicles hover off their places, rms, as seen from above [m], or the name of an autopilot of
+            which they do as real ones; None: as the mission has it.
+        lag_s: by how much they lag behind differently, standard deviation [s].
 
     Raises:
         PlanError: there is no such plan; one line that says why, and what would help.
     """
     build({mission.plan.formulation})
-    task = replace(mission.task(), lost_link=expected_rule(mission, PROFILES[mission.simulator.autopilot]))
+    profile = PROFILES[mission.simulator.autopilot]
+    wander = _wander(mission, wander_m, lag_s)
+    task = replace(mission.task(), lost_link=expected_rule(mission, profile), wander=wander)
+    tops_enu_m = mission.tops_enu_m()
     try:
-        made = compile_flight(task, mission.tops_enu_m(), time.perf_counter)
+        made = compile_flight(task, tops_enu_m, time.perf_counter)
     except PlanError as error:
         raise PlanError(f"{mission.path}: {error}") from error
     planned = PlannedMission(mission, made.task, made, {})
-    return replace(planned, figures={"mission": str(mission.path), **plan_figures(planned.labels, made)})
+    figures = {"mission": str(mission.path), **plan_figures(planned.labels, made)}
+    if wander is not None and made.risk is not None:
+        least = least_wide(made.task, tops_enu_m)
+        figures |= {
+            "wander_m": wander.level_m,
+            "wander_breaches": made.risk.breaches,
+            "edge_m": made.task.edge_m,
+            "smallest_edge_m": least and least * made.task.edge_m,
+        }
+    return replace(planned, figures=figures)
+
+
+def _wander(mission: Mission, wander_m: float | str | None, lag_s: float) -> Wander | None:
+    """Return how far a mission's vehicles will wander; None: not at all."""
+    profile = PROFILES[wander_m if isinstance(wander_m, str) else mission.simulator.autopilot]
+    simulator = mission.simulator
+    if isinstance(wander_m, str):
+        level_m = None
+    elif wander_m is not None:
+        level_m = wander_m
+    elif mission.limits.wander_m is not None:
+        level_m = mission.limits.wander_m
+    else:
+        level_m = simulator.noise_m if simulator.dynamics == "measured" else 0.0
+    if level_m == 0.0 and lag_s == 0.0:
+        return None
+    return Wander(np.tile(usual(profile, level_m), (mission.swarm.vehicles, 1)), mission.hold.duration_s, lag_s)
