@@ -126,11 +126,12 @@ def errors(real: RealFlight, seed: int, *, stopped: bool) -> Errors:
 def as_recorded(text: str) -> str:
     """Return a mission's text with formation and speed of the recorded flights.
 
-    Those were not slowed for vehicles that stop hearing us, their faces were not rolled, and nothing made up for lag.
+    Those were not slowed for vehicles that stop hearing us, their faces were not rolled, nothing made up for lag, and
+    nobody asked how far vehicles wander.
     """
     text = f"{text}\n[stream]\ncompensation = false\n"
     text = re.sub(r"(?m)^roll_deg = .*\n", "", text)
-    return re.sub(r"(?m)^separation_m = [0-9.]+", rf"\g<0>\nfault_separation_m = {NOT_SLOWED_M}", text)
+    return re.sub(r"(?m)^separation_m = [0-9.]+", rf"\g<0>\nwander_m = 0.0\nfault_separation_m = {NOT_SLOWED_M}", text)
 
 
 def _mission(name: str, seed: int, *, stopped: bool) -> Mission:
