@@ -38,7 +38,8 @@ SLOWLY_PER_S: Final = 0.25  # share of a lag that is taken up in a second
 MOST_DRAG_PER_S: Final = 1.5
 MOST_LEAD_S: Final = 0.5
 LEANS: Final = 0.3  # squares of what leans say over those of what velocities do
-PRIOR_M2: Final = 4.0  # says as much as a way of some metres that there is no drag
+PRIOR_M2: Final = 4.0  # says as much as a way of some metres that drag is as expected
+MOVED_M2_S2: Final = 1.0  # squares of velocities' changes in sum from which on a vehicle's lean is told from noise
 PRIOR_M2_S: Final = 60.0  # likewise of a lag: four seconds at four metres per second
 
 
@@ -48,6 +49,7 @@ class Compensation:
     Args:
         fleet: with its frames.
         gate: knows what vehicles are to do.
+        known: drag [1/s] and lag [s] that the last flight of each one's firmware taught, shape (V, 2); None: nothing.
 
     Attributes:
         drag_per_s: of each vehicle, shape (V,) [1/s].
@@ -55,13 +57,15 @@ class Compensation:
         turned_s: the loop's time of the newest sign of life [s].
     """
 
-    def __init__(self, fleet: Fleet, gate: Gate) -> None:
+    def __init__(self, fleet: Fleet, gate: Gate, known: Array | None = None) -> None:
         count = len(fleet.vehicles)
-        self.drag_per_s, self.lead_s = np.zeros(count), np.zeros(count)
+        drag_per_s, lag_s = (np.zeros((count, 2)) if known is None else known).T
         self.turned_s = -np.inf
         self._fleet, self._gate = fleet, gate
         self._may_add_drag = np.array([vehicle.profile.drag_is_compensated for vehicle in fleet.vehicles])
-        self._fit = DragFit(count)
+        self._fit = DragFit(np.clip(drag_per_s, 0.0, MOST_DRAG_PER_S))
+        self.drag_per_s = np.where(self._may_add_drag, self._fit.drag_per_s, 0.0)
+        self.lead_s = np.clip(lag_s, 0.0, MOST_LEAD_S)
         self._behind, self._squares = np.zeros(count), np.zeros(count)
 
     async def run(self) -> None:
@@ -124,20 +128,23 @@ class DragFit:
     """Least squares of U - dv = k dx + w dt for V vehicles, east and north together; older sums count less.
 
     Args:
-        count: V.
+        expected_per_s: k of each vehicle as it is expected, shape (V,) [1/s].
 
     Attributes:
-        drag_per_s: k of each vehicle, shape (V,) [1/s]; 0 where nothing says that there is any.
+        drag_per_s: k of each vehicle, shape (V,) [1/s]; as expected until it has moved, and 0 where it then does not
+            lean for that.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, expected_per_s: Array) -> None:
+        count = len(expected_per_s)
+        self._expected_per_s = expected_per_s
         self._steps = 0
         self._thrust = np.zeros((count, 2))  # times time, since the span began
         self._begin: tuple[Array, Array] | None = None  # position and velocity then
         self._matrix = np.zeros((count, 3, 3))  # normal equations: k and the wind's two
         self._right = np.zeros((count, 3))
         self._leaned, self._changed = np.zeros(count), np.zeros(count)  # squares of U and of dv
-        self.drag_per_s = np.zeros(count)
+        self.drag_per_s = expected_per_s.copy()
 
     def take(self, thrust_m_s2: Array, position_m: Array, velocity_m_s: Array) -> None:
         """Take a look, `LEARNS_S` after the one before; shapes (V, 2), (V, 3), (V, 3)."""
@@ -164,8 +171,11 @@ class DragFit:
         self._changed += (change**2).sum(axis=1)
         self._begin = None
         weighted = self._matrix + np.diag([PRIOR_M2, SPAN_S**2, SPAN_S**2])
-        found = np.linalg.solve(weighted, self._right[:, :, None])[:, 0, 0]
-        self.drag_per_s = np.where(self._leaned > LEANS * self._changed, np.clip(found, 0.0, MOST_DRAG_PER_S), 0.0)
+        right = self._right.copy()
+        right[:, 0] += PRIOR_M2 * self._expected_per_s
+        found = np.linalg.solve(weighted, right[:, :, None])[:, 0, 0]
+        leans = (self._leaned > LEANS * self._changed) | (self._changed < MOVED_M2_S2)
+        self.drag_per_s = np.where(leans, np.clip(found, 0.0, MOST_DRAG_PER_S), 0.0)
 
 
 def thrust_m_s2(yaw_rad: Array, lean_rad: Array) -> Array:

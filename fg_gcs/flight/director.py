@@ -14,6 +14,7 @@ import numpy as np
 from fg_gcs.core.arrays import Array
 from fg_gcs.core.frames import Geodetic
 from fg_gcs.errors import FgError, MissionError, PlanError, VehicleError
+from fg_gcs.flight.calibration import FleetCalibration
 from fg_gcs.flight.compensation import Compensation
 from fg_gcs.flight.context import Context
 from fg_gcs.flight.custody import Custody
@@ -56,6 +57,7 @@ from fg_gcs.link.forwarding import Forwards
 from fg_gcs.link.router import Router
 from fg_gcs.mission.model import Mission
 from fg_gcs.plan.flight_plan import FlightPlan, Task, compile_flight, fault_words, plan_figures
+from fg_gcs.record.write.kept_calibrations import KeptCalibrations
 from fg_gcs.record.write.kept_parameters import KeptParameters
 from fg_gcs.record.write.recorder import Recorder
 from fg_gcs.wire.address import MAIN, VehicleAddress, names, vehicles_named
@@ -133,6 +135,7 @@ class Director:
         self._link_recorder = LinkRecorder(recorder)
         self._setup = setup
         self._custody: Custody | None = None
+        self._calibration: FleetCalibration | None = None
         self._rung = Rung.GO_ON
         self._stops = 0
         self._decision: _Decision | None = None
@@ -249,6 +252,8 @@ class Director:
                 self.result.late_ticks = flight.context.streamer.late_ticks
                 self.result.gate = flight.context.streamer.gate.counts
                 flight.context.streamer.conclude(self.journal)
+                if self._calibration is not None:
+                    self._calibration.keep(flight.sortie.wander_m, flight.context.streamer.compensation, self.journal)
             self._count()
             for failsafe in failsafes:
                 await self._put_back(failsafe)
@@ -359,7 +364,8 @@ class Director:
         gate = Gate(fleet, task.rules, lambda: custody.kept_clear)
         streamer = Streamer(fleet, self.journal.recorder, self.mission.stream.rate_hz, gate)
         if self.mission.stream.compensation:
-            streamer.compensation = Compensation(fleet, gate)
+            known = None if self._calibration is None else self._calibration.drag_and_lag
+            streamer.compensation = Compensation(fleet, gate, known)
         context = Context(fleet, self.mission, task, tops_enu_m, streamer, custody, self.journal)
         descents = Descents(fleet, streamer, custody, self.journal, self.mission.faults.taken_wait_s)
         if self.mission.targets is not None:
@@ -479,7 +485,10 @@ class Director:
             separation_m=task.rules.separation_m,
             target_enu_m=task.target_enu_m,
         )
-        wander = await expected_wander(fleet, self.mission, self.journal)
+        kept = self._setup.kept
+        calibration = FleetCalibration(fleet, None if kept is None else KeptCalibrations(kept.folder))
+        self._calibration = calibration
+        wander = await expected_wander(fleet, self.mission, calibration.wander_m, self.journal)
         rules = replace(task.rules, limits=limits)
         return replace(task, rules=rules, lost_link=rule_of(self.mission, fleet), wander=wander)
 

@@ -55,6 +55,10 @@ class Sortie:
         plan: the task's plans from where the vehicles stand.
         descents: bring vehicles down; they run as a task.
         target_follower: of moving targets, its sources open; None: the target rests.
+
+    Attributes:
+        wander_m: how far each vehicle was seen to wander where they gathered, rms, as seen from above, shape (V,) [m];
+            None: nobody looked.
     """
 
     def __init__(
@@ -67,6 +71,7 @@ class Sortie:
         self._descents = descents
         self._target_follower = target_follower
         self._time = context.journal.time
+        self.wander_m: Array | None = None
         self._motion: Follow | None = None  # of those that fly, while others stay beside them
         self._where_stalled: Rest | None = None  # where they came to rest after this program stood still
 
@@ -304,11 +309,13 @@ class Sortie:
             return
         motion = self._streamer.motion
         assert motion is not None, "the formation has gathered"
-        sigma_m = await in_the_air(self._fleet, lambda: motion.at(self._time()).position_m, expected.sigma_m)
-        found, plan = expected._replace(sigma_m=sigma_m), self._plan
+        measured_m, least_m = await in_the_air(self._fleet, lambda: motion.at(self._time()).position_m)
+        self.wander_m = np.hypot(measured_m[:, 0], measured_m[:, 1])
+        found, plan = expected._replace(sigma_m=np.maximum(expected.sigma_m, least_m)), self._plan
         ways = parts_of(plan.gather, plan.approach, plan.home, expected.hold_s)[1:]
         risk = risk_of(ways, found, self._task.rules.separation_m)
-        journal.recorder.know(wander_in_the_air_m=found.level_m, wander_risk=risk.breaches)
+        level_m = float(np.sqrt((self.wander_m**2).mean()))
+        journal.recorder.know(wander_in_the_air_m=level_m, wander_risk=risk.breaches)
         if found.level_m > expected.level_m:
             journal.event("wander", f"vehicles wander by {found.level_m:.2f} m, more than was to be expected")
         if risk.breaches > MOST_RISK:

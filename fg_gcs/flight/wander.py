@@ -32,6 +32,7 @@ AIR_S: Final = 8.0  # likewise at those that hover
 STILL: Final = (round(1.0 / LOOKS_S), 1e-3)  # looks; positions that move less [m] in those do not wander: particles'
 NONE_M: Final = 0.005  # less than any separation is told to
 SURE: Final = 0.5  # standard deviations of its own that a measured wander is taken wider
+DOUBTED: Final = 1.0  # standard deviation of a wander that was measured in the air, over what is known of it
 ALIKE: Final = 2.0  # a vehicle that wanders so many times further than its kind is counted by itself
 
 
@@ -85,12 +86,15 @@ async def on_the_ground(fleet: Fleet) -> Array:
     return sigma_m
 
 
-async def expected_wander(fleet: Fleet, mission: Mission, journal: Journal) -> Wander | None:
+async def expected_wander(fleet: Fleet, mission: Mission, last_m: Array, journal: Journal) -> Wander | None:
     """Return how far vehicles will wander in the air: as the mission says, or by how they do on the ground.
+
+    What their firmwares did when they last flew counts where that was more; not of vehicles that do not wander now.
 
     Args:
         fleet: on the ground, its frames known.
         mission: what is flown.
+        last_m: how far vehicles of these firmwares hovered off their places, shape (V,) [m]; 0: that is not known.
         journal: told of it, and for the record.
 
     Returns:
@@ -98,7 +102,9 @@ async def expected_wander(fleet: Fleet, mission: Mission, journal: Journal) -> W
     """
     given_m, hold_s = mission.limits.wander_m, mission.hold.duration_s
     if given_m is None:
-        found = Wander(await on_the_ground(fleet), hold_s)
+        sigma_m = await on_the_ground(fleet)
+        then_m = np.array([usual(each.profile, m) for each, m in zip(fleet.vehicles, last_m.tolist(), strict=True)])
+        found = Wander(np.where(sigma_m > 0.0, np.maximum(sigma_m, then_m), sigma_m), hold_s)
     else:
         found = Wander(np.array([usual(vehicle.profile, given_m) for vehicle in fleet.vehicles]), hold_s)
     journal.recorder.know(wander_m=found.level_m, wander_is_measured=given_m is None)
@@ -120,28 +126,31 @@ def usual(profile: AutopilotProfile, level_m: float | None = None) -> Array:
     return hover_m if level_m is None else hover_m * (level_m / np.hypot(hover_m[0], hover_m[1]))
 
 
-async def in_the_air(fleet: Fleet, told_enu_m: Callable[[], Array], expected_m: Array) -> Array:
+async def in_the_air(fleet: Fleet, told_enu_m: Callable[[], Array]) -> tuple[Array, Array]:
     """Return how far vehicles that hover are from where they are told to be, shape (V, 3) [m; ENU].
 
     Their estimates show a part of it alone; which one is a matter of the autopilot. What is common to all of them
-    brings nobody nearer to anybody. Where what was expected may be as true, that stays.
+    brings nobody nearer to anybody.
 
     Args:
         fleet: its vehicles hover.
         told_enu_m: where they are told to be, shape (V, 3) [m].
-        expected_m: as :func:`on_the_ground` has it.
+
+    Returns:
+        That, and what it is at least, as far as so short a time tells.
     """
     loop = asyncio.get_running_loop()
     errors_m = await watched(fleet, AIR_S, lambda: fleet.located(loop.time()).position_enu_m - told_enu_m())
     apart_m = errors_m - errors_m.mean(axis=1, keepdims=True)
     count = len(fleet.vehicles)
     shown_m = np.sqrt((apart_m[..., :2] ** 2).mean(axis=0) * count / max(count - 1, 1))  # (V, 2)
-    found_m = expected_m.copy()
+    found_m = np.zeros((count, 3))
+    unsure = np.zeros((count, 1))
     for profile in {vehicle.profile.name: vehicle.profile for vehicle in fleet.vehicles}.values():
         rows = np.array([row for row, vehicle in enumerate(fleet.vehicles) if vehicle.profile is profile])
         level_m = float(np.sqrt((shown_m[rows] ** 2).sum(axis=1).mean()))
         hover_m = np.array(profile.wander.hover_enu_m)
         times = level_m / profile.wander.shown_m
-        unsure = SURE * 2.0 / np.sqrt(AIR_S * len(rows))  # errors that change in some two seconds, of two axes
-        found_m[rows] = np.maximum(expected_m[rows], times * (1.0 - unsure) * hover_m)
-    return found_m
+        found_m[rows] = times * hover_m
+        unsure[rows] = DOUBTED / np.sqrt(AIR_S * len(rows))  # errors that change in some two seconds, of two axes
+    return found_m, np.maximum(1.0 - unsure, 0.0) * found_m

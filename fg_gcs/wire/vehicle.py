@@ -172,6 +172,7 @@ class Vehicle:
         origin: Origin of its local frame, None before the first GPS_GLOBAL_ORIGIN.
         pairing: The newest of its positions that it has told both ways, None before the first.
         battery: State of charge.
+        firmware: Its autopilot's name and version; the name alone before AUTOPILOT_VERSION.
         uid: Of its hardware in hexadecimal digits, "" before the first AUTOPILOT_VERSION or where that tells none.
         params: Values of the parameters heard so far, by name.
         param_types: Their MAV_PARAM_TYPE.
@@ -203,6 +204,7 @@ class Vehicle:
         self.pairing: Pairing | None = None
         self.battery = Battery(math.nan, math.nan)
         self.uid = ""
+        self.firmware = self.profile.name
         self.params: dict[str, float] = {}
         self.param_types: dict[str, int] = {}
         self.param_at_s: dict[str, float] = {}
@@ -483,6 +485,8 @@ class Vehicle:
 
     def _on_version(self, message: Message, now_s: float) -> None:
         """The longer identity is newer; a vehicle that has none tells zeros."""
+        major, minor, patch, _ = int(message.flight_sw_version).to_bytes(4, "big")
+        self.firmware = f"{self.profile.name} {major}.{minor}.{patch}"
         longer = bytes(message.uid2)
         self.uid = longer.hex() if any(longer) else f"{message.uid:016x}" if message.uid else ""
 

@@ -33,7 +33,7 @@ def test_a_lean_gives_what_the_body_s_axis_says(yaw_rad: float, roll_rad: float,
 @given(st.floats(0.05, 1.0), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.integers(0, 2**32 - 1))
 def test_drag_is_found_in_wind_and_noise(drag_per_s: float, wind_east: float, wind_north: float, seed: int) -> None:
     """Forty seconds on a curve at up to 6 m/s; velocities are off by 0.1 m/s, and what does not lean has no drag."""
-    draw, fit = np.random.default_rng(seed), DragFit(2)
+    draw, fit = np.random.default_rng(seed), DragFit(np.zeros(2))
     wind = np.array([wind_east, wind_north])
     for k in range(round(40.0 / LEARNS_S)):
         t = k * LEARNS_S

@@ -62,6 +62,7 @@ def test_what_all_do_alike_brings_nobody_nearer() -> None:
 @given(st.floats(0.15, 7.5))
 def test_the_least_size_is_the_one_from_which_on_the_risk_is_kept(least: float) -> None:
     found = least_times(lambda times: RISK * (least / times) ** 4)
+    assert found is not None
     assert found == pytest.approx(least, rel=0.006)
     assert found >= least
 

@@ -44,7 +44,10 @@ class KeptCalibrations:
         with suppress(OSError, ValueError, TypeError, KeyError, AttributeError):
             with self._path.open("rb") as file:
                 tables = json.loads(file.read(MOST_BYTES))
-            found = {str(name): Calibration(*(float(table[key]) for key in Calibration._fields)) for name, table in tables.items()}
+            found = {
+                str(name): Calibration(*(float(table[key]) for key in Calibration._fields))
+                for name, table in tables.items()
+            }
             return {name: each for name, each in found.items() if all(0.0 <= x < math.inf for x in each)}
         return {}
 
