@@ -474,9 +474,10 @@ class Director:
     async def _prepare(self, fleet: Fleet, failsafes: list[Failsafes]) -> Task:
         """Set failsafes, and learn frames; return the mission's task under the limits that the vehicles really have."""
         task = self.mission.task()
-        limits = vehicle_limits(fleet, task.rules.limits, self.journal)
-        failsafes.append(Failsafes(fleet, self.journal, self._setup.kept))
+        jerk_m_s3 = self.mission.limits.vehicle_jerk_m_s3
+        failsafes.append(Failsafes(fleet, self.journal, self._setup.kept, jerk_m_s3))
         await failsafes[0].set()
+        limits = vehicle_limits(fleet, task.rules.limits, self.journal)
         origin = self.mission.origin_geodetic() if self._knows_origin else None
         fleet.learn_frames(origin, self.mission.pads_enu_m()[0], task.start.centre_enu_m)
         self.journal.recorder.know(

@@ -1,4 +1,7 @@
-"""What vehicles do when we fall silent: set before arming, watched in flight, put back when each is seen disarmed."""
+"""What is set in vehicles for a flight: what they do when we fall silent, and how hard they follow.
+
+It is set before arming, watched in flight, and put back when each vehicle is seen disarmed.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,7 @@ from fg_gcs.wire.params import same
 from fg_gcs.wire.reading import ReadParameters, Wanted, read
 from fg_gcs.wire.vehicle import Vehicle
 
+JERK: Final = "jerk_m_s3"  # the quantity of a limit
 LOOKS_S: Final = 2.0  # between two looks at what is set: noticed within 5 s on a link that loses a third
 HEARD_S: Final = 1.5  # a vehicle that was not heard for longer cannot be asked
 
@@ -32,6 +36,7 @@ class Failsafes:
         fleet: the vehicles, their parameters read.
         journal: where to tell of it.
         kept: where users' own values are kept on disk; None: nowhere.
+        jerk_m_s3: the limit for those that shape setpoints by one of their own [m/s^3]; None: each keeps its own.
 
     Attributes:
         turned_s: the loop's time of the newest sign of life of `watch` [s].
@@ -39,7 +44,9 @@ class Failsafes:
             ground]; None: they land where they are.
     """
 
-    def __init__(self, fleet: Fleet, journal: Journal, kept: KeptParameters | None) -> None:
+    def __init__(
+        self, fleet: Fleet, journal: Journal, kept: KeptParameters | None, jerk_m_s3: float | None = None
+    ) -> None:
         self.turned_s = -math.inf
         self._fleet = fleet
         self._journal = journal
@@ -53,6 +60,7 @@ class Failsafes:
         self.returns_m: Array | None = None
         self._waits_s = 0.0
         self._runs_on_s: float | None = None
+        self._jerk_m_s3 = jerk_m_s3
 
     async def set(self, alone: ByThemselves | None = None, runs_on_s: float | None = None) -> None:
         """Change those failsafes that are unsafe for a swarm, as `prepare` has read them; say what was found and set.
@@ -114,6 +122,7 @@ class Failsafes:
         """Return what parameters of a vehicle are to be for this flight, by the user's own values."""
         unsafe = (one for one in vehicle.profile.failsafes if not one.is_safe(own.get(one.name, math.nan)))
         wanted = {one.name: one.wanted for one in unsafe if one.wanted is not None}
+        wanted |= self._jerk(vehicle)
         timeout = vehicle.profile.stream_timeout[0]
         if self._runs_on_s is not None and vehicle.profile.lost_link.runs_on:
             wanted[timeout] = min(wanted.get(timeout, own.get(timeout, math.inf)), self._runs_on_s)
@@ -123,6 +132,18 @@ class Failsafes:
                 if name is not None:
                     wanted[name] = one.value_for(name, float(self.returns_m[row]), self._waits_s)
         return wanted
+
+    def _jerk(self, vehicle: Vehicle) -> dict[str, float]:
+        """Return the jerk limit that a vehicle gets, by the name that it has there; nothing if it keeps its own."""
+        names = {
+            name: scale
+            for limit in vehicle.profile.limits
+            if limit.quantity == JERK
+            for name, scale in limit.names.items()
+        }
+        if self._jerk_m_s3 is None:
+            return {}
+        return {name: self._jerk_m_s3 / scale for name, scale in names.items() if name in vehicle.params}
 
     async def watch(self, report: Callable[[Fault], None]) -> None:
         """Read again what was set, for ever, and set it again where it has changed: run it as a task.
@@ -273,6 +294,10 @@ class Failsafes:
             for failsafe in vehicle.profile.failsafes:
                 if failsafe.name in vehicle.params and failsafe.name not in told:
                     groups.setdefault(self._line(vehicle, failsafe), []).append(vehicle.address)
+            for name, value in self._jerk(vehicle).items():
+                own = self._found.get(vehicle, {}).get(name, value)
+                line = name, own, None if same(own, value) else value, "how hard it follows, as the mission has it"
+                groups.setdefault(line, []).append(vehicle.address)
         for (name, found, to, reason), addresses in groups.items():
             change = "" if to is None else f", set to {to:g} for this flight"
             kind = "found" if to is None else "failsafe"

@@ -227,6 +227,13 @@ class LimitsTable(MissionTable):
         default=None, description="a number from 1e-6 to 1e6 (default: speed_m_s alone holds)"
     )
     jerk_m_s3: Plannable | None = Field(default=None, description="a number from 1e-6 to 1e6 (default: no limit)")
+    vehicle_jerk_m_s3: float | None = Field(
+        default=None,
+        ge=1.0,
+        le=100.0,
+        description="1 to 100, the jerk limit that vehicles get for the flight which shape setpoints by one of their "
+        "own (default: each keeps its own)",
+    )
     separation_m: Plannable = Field(
         description="a number from 1e-6 to 1e6, the smallest distance between two vehicles in metres"
     )
