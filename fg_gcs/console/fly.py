@@ -9,7 +9,7 @@ import math
 import signal
 import sys
 import traceback
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -57,24 +57,33 @@ def fly(path: Path, options: FlyOptions, manner: Manner) -> ExitCode:
     prepare(mission)
     gc.collect()
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
-    with ExitStack() as stack:
+    result: RunResult | None = None
+    with suppress(BrokenPipeError), ExitStack() as stack:  # a reader that has gone changes no exit code
         console = PatientConsole(file=sys.stderr if virtual else _unhurried(stack), highlight=False)
         terminal = stack.enter_context(Terminal(mission.description, console, live=not virtual and console.is_terminal))
         result = fly_blocking(mission, options, (terminal, _Signals()), speed=manner.speed)
         if result.outcome in (Outcome.COMPLETED, Outcome.ABORTED):
             stack.callback(closing, console, result.summary, mission)  # below the picture, which has gone by then
-    if manner.json:
-        print(json.dumps(dict(result.summary)), flush=True)
+    if result is None:
+        return ExitCode.ABORTED
+    with suppress(BrokenPipeError):
+        if manner.json:
+            print(json.dumps(dict(result.summary)), flush=True)
+        tell_error(result)
     return code_of(result)
 
 
-def code_of(result: RunResult) -> ExitCode:
-    """Return the exit code that says how a run ended; tell people of an error."""
+def tell_error(result: RunResult) -> None:
+    """Tell people of an error."""
     if result.outcome is Outcome.FAILED and result.error is not None:
         traceback.print_exception(result.error)
         print("fg-gcs: internal error; the lines above belong into a bug report", file=sys.stderr)
     elif result.error is not None:
         print(f"fg-gcs: {result.reason}", file=sys.stderr)
+
+
+def code_of(result: RunResult) -> ExitCode:
+    """Return the exit code that says how a run ended."""
     code = CODES[result.outcome]
     return ExitCode.NOT_IN_ORDER if code in (ExitCode.DONE, ExitCode.ABORTED) and not result.in_order else code
 

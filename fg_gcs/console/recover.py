@@ -46,6 +46,7 @@ def run(chosen: argparse.Namespace, connect: tuple[str, ...]) -> ExitCode:
             "vehicles": [each._asdict() for each in result.vehicles],
             "missing": result.missing,
             "not_down": result.not_down,
+            "unreadable": result.unreadable,
             "alive": result.alive,
             "log": None if result.folder is None else str(result.folder),
         }
@@ -66,5 +67,8 @@ def _show(result: RecoverResult) -> None:
     for each in result.vehicles:
         table.add_row(*(escape(cell) if isinstance(cell, str) else "yes" if cell else "no" for cell in each))
     console.print(table)
+    for name in result.unreadable:
+        text = f"fg-gcs: {name} cannot be read: a vehicle may still have what was set for a flight"
+        console.print(escape(f"{text}; parameters.json in that run's folder has its own values"))
     for name in result.missing:
         console.print(escape(f"vehicle {name} was not heard; what was set for a flight is still set on it"))

@@ -9,7 +9,8 @@ Two things keep a vehicle off its setpoints for which setpoints can make up:
   U - dv = k dx - k w dt, fitted by least squares. A vehicle that accelerates without leaning tells nothing.
 - **Lag.** A vehicle that is where it should have been L ago gets position and velocity ahead of the plan by L:
   p + v L + a L^2 / 2 and v + a L. L is what remains of the error along the velocity, -sum(e v) / sum(v v) over some
-  seconds, integrated.
+  seconds, integrated. Over a link that is late by more than its jitter nothing is told apart from that: there what was
+  learnt fades, and setpoints are as planned.
 
 What is learnt is bounded, changes slowly, and is kept to itself: plans, the gate and the record have where vehicles are
 to be, and only the bytes have what they are told for that.
@@ -32,6 +33,7 @@ from fg_gcs.link.clock import ticks
 GRAVITY_M_S2: Final = 9.80665
 LEARNS_S: Final = 0.05  # between two looks
 SPAN_S: Final = 0.5  # of a sum of the fit: longer than lags of attitude, shorter than what is to be told apart
+FRESH_S: Final = 0.1  # samples that are older, or came late, do not tell a lag from what they are late by
 FORGETS_S: Final = 40.0  # time constant of the fit of drag: longer than a flight's turns, shorter than its wind
 ERRORS_S: Final = 5.0  # time constant of the errors that a lag is read from
 SLOWLY_PER_S: Final = 0.25  # share of a lag that is taken up in a second
@@ -79,14 +81,16 @@ class Compensation:
         """Look once at what vehicles do, at the loop's time [s]; call it every `LEARNS_S`."""
         place, velocity = self._gate.told(now_s)
         located = self._fleet.located(now_s)
-        told = np.isfinite(place).all(axis=1) & (located.age_s < SPAN_S)
+        fresh = located.age_s < FRESH_S
+        told = np.isfinite(place).all(axis=1) & fresh
         error = np.where(told[:, None], located.position_enu_m - place, 0.0)
         flown = np.where(told[:, None], velocity, 0.0)
         fade = np.exp(-LEARNS_S / ERRORS_S)
         self._behind = fade * self._behind - (error * flown).sum(axis=1) * LEARNS_S
         self._squares = fade * self._squares + (flown * flown).sum(axis=1) * LEARNS_S
         lag_s = self._behind / (self._squares + PRIOR_M2_S)
-        self.lead_s = np.clip(self.lead_s + SLOWLY_PER_S * LEARNS_S * lag_s, 0.0, MOST_LEAD_S)
+        step_s = SLOWLY_PER_S * LEARNS_S * np.where(fresh, lag_s, -self.lead_s)
+        self.lead_s = np.clip(self.lead_s + step_s, 0.0, MOST_LEAD_S)
         states = self._fleet.states
         self._fit.take(thrust_m_s2(states.yaw_rad, states.lean_rad), located.position_enu_m, located.velocity_enu_m_s)
         self.drag_per_s = np.where(self._may_add_drag, self._fit.drag_per_s, 0.0)

@@ -281,8 +281,10 @@ class Failsafes:
                 if crashed.name != kept.name:  # its hardware was not known then, or is not now
                     self._kept.forget(crashed)
             except OSError as error:
+                names = ", ".join(f"{name} = {value:g}" for name, value in to_set.items())
                 self._journal.event(
-                    "warning", f"{self._kept.folder}: {error.strerror or error}: a crash would leave {to_set}"
+                    "warning",
+                    f"{self._kept.folder}: {error.strerror or error}: a crash would leave {names}",
                 )
         self._journal.recorder.parameters(rows)
 

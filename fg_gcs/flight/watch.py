@@ -26,7 +26,6 @@ WATCH_S: Final = 0.05  # at 10 m/s half a metre of way
 FOLLOWS_S: Final = 1.0  # whoever follows setpoints again by itself does, and says so, within that
 CALLED_S: Final = 3.0  # and whoever is called back does
 CONFIRMED_S: Final = 0.3  # a course that is left for so long is left
-PARTED_S: Final = 8.0  # whoever is below a vehicle that is to land has had time enough to get away
 FORGETS_S: Final = (
     4.0  # time constant of forgetting the greatest speed vehicles were told: PX4 overshoots a stop for 10 s
 )
@@ -62,7 +61,6 @@ class Watch:
         self._report = report
         self._known: set[tuple[FaultKind, tuple[VehicleAddress, ...]]] = set()
         self._off_course_s: dict[VehicleAddress, float] = {}  # since when
-        self._given_up_s: dict[int, float] = {}
         self._asked_s = -math.inf
         self._told_speed_m_s = np.zeros(len(context.fleet.vehicles))
         self._origins = OriginWatch(context.fleet.vehicles, context.fleet.states)
@@ -86,7 +84,7 @@ class Watch:
                 self._ask(now_s)
                 if now_s >= blind_until_s:
                     self._look(watched, now_s, moved)
-            self._attend(now_s)
+            self._attend()
 
     def _call_back(self, now_s: float) -> bool:
         """Take those back that follow setpoints again after this program stood still, and call back those that hover.
@@ -203,8 +201,6 @@ class Watch:
         rows = [context.fleet.row_of[address] for address in fault.vehicles]
         for row in rows:
             context.custody.take(row, care, picture.told_enu_m[row])
-            if care in (Care.LAND, Care.LEAVE):
-                self._given_up_s.setdefault(row, picture.now_s)
         if care is Care.LEAVE:
             context.streamer.release(rows)
         elif fault.kind is FaultKind.OWN_FAILSAFE:
@@ -225,13 +221,12 @@ class Watch:
             gone = {(kind, (address,)) for kind in FaultKind if ROWS[kind].care is Care.TELL for address in addresses}
             self._known -= gone
 
-    def _attend(self, now_s: float) -> None:
+    def _attend(self) -> None:
         """Command those to land that were given up, as soon as nobody is below them."""
         custody, rules = self._context.custody, self._context.task.rules
         for row, care in custody.given_up():
             if care is not Care.LAND or self._descents.is_begun(row):
                 continue
-            since_s = self._given_up_s.setdefault(row, now_s)
             clear = row in custody.avoided and not custody.is_below(row, custody.flying(), rules.separation_m)
-            if clear or now_s - since_s > PARTED_S or not custody.flying():
+            if clear or not custody.flying():
                 self._descents.begin([row])

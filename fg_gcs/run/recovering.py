@@ -24,7 +24,16 @@ from fg_gcs.link.endpoint import Endpoint, parse_networks
 from fg_gcs.link.router import Router
 from fg_gcs.mission import load_mission
 from fg_gcs.plan.limits import Limits, Rules
-from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, is_alive, read_kept, state_folder
+from fg_gcs.record.write.kept_parameters import (
+    Kept,
+    KeptParameters,
+    give_sign,
+    is_alive,
+    last_sign_s,
+    read_kept,
+    state_folder,
+    unreadable,
+)
 from fg_gcs.record.write.recorder import MISSION, Recorder, make_folder
 from fg_gcs.run.observing import Observer
 from fg_gcs.run.signing import key_files, keys_in, signing_with
@@ -38,6 +47,8 @@ from fg_gcs.wire.vehicle import Vehicle
 
 DEFAULT: Final = "udpin:127.0.0.1:14550"
 HEARD_S: Final = 2.5  # how long a vehicle has for its next heartbeat, twice
+OTHERS_S: Final = 15.0  # after a run's last sign of life its vehicles follow nobody's setpoints but another station's
+SIGN_S: Final = 1.0  # between two signs of life of ours
 ANYWHERE_M: Final = 1e6
 GENTLE: Final = Rules(  # where the mission of the run cannot be read any more
     Limits(2.0, 1.0, climb_m_s=1.0, descent_m_s=1.0),
@@ -84,6 +95,7 @@ class RecoverResult:
         vehicles: that were heard, ours or not.
         missing: names of vehicles of which parameters are kept and that were not heard.
         not_down: how many of ours are not known to be on the ground, motors off.
+        unreadable: files in which parameters were kept, but that cannot be read: nobody knows of what.
         alive: folder of the run that still goes on, so that nothing was touched; else empty.
         folder: of the record; None: nothing was done.
     """
@@ -91,13 +103,14 @@ class RecoverResult:
     vehicles: list[Recovered] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     not_down: int = 0
+    unreadable: list[str] = field(default_factory=list)
     alive: str = ""
     folder: Path | None = None
 
     @property
     def in_order(self) -> bool:
         """Whether nothing is left to do."""
-        return not (self.missing or self.not_down or self.alive)
+        return not (self.missing or self.not_down or self.unreadable or self.alive)
 
 
 async def recover(options: RecoverOptions | None = None, observers: Sequence[Observer] = ()) -> RecoverResult:
@@ -138,6 +151,7 @@ async def recover(options: RecoverOptions | None = None, observers: Sequence[Obs
         stack.callback(beating.cancel)
         result = await _recovered(router, kept, parameters, journal, chosen.wait_s, networks)
         result.folder = folder
+        result.unreadable = [str(path) for path in unreadable(state)]
         recorder.finish({"mission": "recover", "completed": result.in_order})
     return result
 
@@ -165,21 +179,45 @@ async def _recovered(
     await Fleet(router, vehicles).ask(asked, _only(request_version()))  # is it the hardware that is meant?
     own = {vehicle.address: one for vehicle in vehicles if (one := _kept_of(vehicle, kept, router)) is not None}
     was = {vehicle.address: _state(vehicle) for vehicle in vehicles}
+    others = {
+        vehicle.address for vehicle in vehicles if vehicle.address in own and _is_flown(vehicle, own[vehicle.address])
+    }
+    own = {address: one for address, one in own.items() if address not in others}
     up = [vehicle for vehicle in vehicles if vehicle.armed and vehicle.address in own]
-    left = await Recovery(router, up, _rules(own.values()), journal).run() if up else ()
-    result = RecoverResult(not_down=len(left))
+    signs = asyncio.ensure_future(_give_signs([own[vehicle.address] for vehicle in up]))
+    try:
+        left = await Recovery(router, up, _rules(own.values()), journal).run() if up else ()
+    finally:
+        signs.cancel()
+    result = RecoverResult(not_down=len(left) + len(others))
     for vehicle in vehicles:
         mine = own.get(vehicle.address)
-        what = "not ours: left alone"
+        what = "another ground station flies it: left alone" if vehicle.address in others else "not ours: left alone"
         if mine is not None:
             what = await _put_back(router, vehicle, mine, parameters, journal)
         name, autopilot = str(vehicle.address), vehicle.profile.name
         result.vehicles.append(
             Recovered(name, autopilot, mine is not None, was[vehicle.address], _state(vehicle), what)
         )
-    heard = {one.name for one in own.values()}
+    heard = {one.name for vehicle in vehicles if (one := _kept_of(vehicle, kept, router)) is not None}
     result.missing = sorted(f"{one.system_id} ({one.endpoint})" for one in kept if one.name not in heard)
     return result
+
+
+def _is_flown(vehicle: Vehicle, kept: Kept) -> bool:
+    """Say whether somebody else flies a vehicle: it follows setpoints, or waits for them, long after its run ended.
+
+    By itself it does so for a second (PX4), or until it misses heartbeats for ten (ArduPilot).
+    """
+    follows = vehicle.armed and vehicle.mode == vehicle.profile.streaming_mode
+    return follows and time.time() - last_sign_s(kept) > OTHERS_S
+
+
+async def _give_signs(kept: Sequence[Kept]) -> None:
+    """Let others know that these vehicles are being brought down, for ever: our heartbeats keep them in their mode."""
+    async for _ in ticks(asyncio.get_running_loop().time(), SIGN_S):
+        for one in kept:
+            give_sign(one)
 
 
 async def _listen(router: Router, count: int, wait_s: float) -> None:

@@ -16,12 +16,13 @@ from fg_gcs.core.arrays import Array
 from fg_gcs.flight.motions import Follow, SwarmSetpoint
 from fg_gcs.flight.policy import ROWS, Care, FaultKind, Rung
 from fg_gcs.flight.safety import FENCE_SLACK_M, LAG_S
-from fg_gcs.flight.watch import FORGETS_S, PARTED_S
+from fg_gcs.flight.watch import FORGETS_S
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from tests.flight.harness import CIRCLING, SMALL, Flight, Table, fly, mission_of, moving
 from tests.flight.meddling import StandingStill
 
 LOOKS_S = 0.01  # between two looks at the truth
+CLEARED_S = 30.0  # until nobody is below one that is to land: the others fly home meanwhile
 DELAY_S = 0.1  # of the link, with the time between two looks of what watches, and of the simulator's own steps
 MUTED = {"loss": 1.0}
 NOTHING: Table = MappingProxyType({})
@@ -359,7 +360,7 @@ def is_landed(flight: Flight, noticed: Noticed) -> None:
     """It is given up: it gets no setpoints from when it is commanded to land, and later ways keep clear of it."""
     (label,) = noticed.vehicles
     assert [lost.label for lost in flight.director.result.lost] == [label]
-    assert sent_s(flight, label).max() < noticed.at_s + PARTED_S + DELAY_S
+    assert sent_s(flight, label).max() < noticed.at_s + CLEARED_S + DELAY_S
     assert "regions" in spoken(flight, "clear")[0]
     assert flight.truth_separation_m >= 1.0
 

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
-NAME: Final = "calibrations.json"
+NAME: Final = "calibrations"
 MOST_BYTES: Final = 65_536
 MOST_KEPT: Final = 100  # firmwares; the oldest are forgotten
 

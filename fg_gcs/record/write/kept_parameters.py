@@ -120,13 +120,31 @@ class KeptParameters:
 
 
 def read_kept(folder: Path) -> list[Kept]:
-    """Return all that is kept in a folder; what cannot be read is passed over."""
-    found = []
-    for path in sorted(folder.glob("*.json")):
-        with suppress(OSError, ValueError, TypeError, KeyError):
-            if path.stat().st_size <= MOST_BYTES:
-                found.append(_kept(json.loads(path.read_text(encoding="utf-8"))))
-    return found
+    """Return all that is kept in a folder; what cannot be read is passed over, see :func:`unreadable`."""
+    return [kept for path in sorted(folder.glob("*.json")) if (kept := _read(path)) is not None]
+
+
+def unreadable(folder: Path) -> list[Path]:
+    """Return the files of a folder in which something was kept, but cannot be read any more."""
+    return [path for path in sorted(folder.glob("*.json")) if _read(path) is None]
+
+
+def last_sign_s(kept: Kept) -> float:
+    """Return when the run that keeps it, or one that brings its vehicles down, gave its last sign of life [s; Unix].
+
+    A run writes into its folder several times a second; 0 if that is gone.
+    """
+    newest_s = 0.0
+    with suppress(OSError):
+        for path in (Path(kept.run), *Path(kept.run).iterdir()):
+            newest_s = max(newest_s, path.stat().st_mtime)
+    return newest_s
+
+
+def give_sign(kept: Kept) -> None:
+    """Let others know that its vehicle is being brought down."""
+    with suppress(OSError):
+        os.utime(kept.run)
 
 
 def is_alive(folder: Path, kept: Kept) -> bool:
@@ -147,6 +165,13 @@ def _sweep(folder: Path) -> None:
         with suppress(OSError), path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink()
+
+
+def _read(path: Path) -> Kept | None:
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        if path.stat().st_size <= MOST_BYTES:
+            return _kept(json.loads(path.read_text(encoding="utf-8")))
+    return None
 
 
 def _kept(fields: Mapping[str, Any]) -> Kept:
