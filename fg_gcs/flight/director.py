@@ -82,6 +82,7 @@ class Setup(NamedTuple):
     kept: KeptParameters | None = None  # where users' own values of parameters are kept while they are changed
     signing: Mapping[str, Signing] = MappingProxyType({})  # by network, see `Router.open`
     forwards: Forwards | None = None  # who else gets telemetry
+    least_pace: float = 0.0  # slower clocks than this share of real time are not flown
 
 
 @dataclass
@@ -223,7 +224,7 @@ class Director:
                 plan = await self._plan(fleet, task)
                 flights.append(await self._flight(fleet, plan.task, plan))
                 await self._let_return(fleet, plan, failsafes[0])
-                unfit = unfit_links(router, fleet.vehicles)
+                unfit = unfit_links(router, fleet.vehicles, self._setup.least_pace)
                 if unfit is not None:
                     raise VehicleError(unfit)
 
@@ -534,14 +535,9 @@ class Director:
     async def _listen(self, streamer: Streamer, task: Task, plan: FlightPlan) -> TargetFollower:
         """Open the sources of moving targets, before anything is armed."""
         setup = self._setup
+        slots_m = task.formation.slots_m[plan.slot_of]
         target_follower = TargetFollower(
-            self.mission,
-            task,
-            task.formation.slots_m[plan.slot_of],
-            streamer,
-            self.journal,
-            setup.stopwatch,
-            setup.substitutes,
+            self.mission, task, slots_m, streamer, self.journal, setup.stopwatch, setup.substitutes
         )
         await target_follower.open()
         return target_follower

@@ -56,7 +56,7 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
     await fleet.ask(fleet.vehicles, mode)
     try:
         await until(
-            lambda: [vehicle for vehicle in fleet.vehicles if not (vehicle.armed or _ready(vehicle))],
+            lambda: [vehicle for vehicle in fleet.vehicles if not (vehicle.armed or is_ready(vehicle))],
             READY_S,
             "become ready to arm",
         )
@@ -86,7 +86,8 @@ def _refuse_armed(fleet: Fleet) -> None:
         raise VehicleError(f"armed already, by another ground station: {vehicles_named(armed)}")
 
 
-def _ready(vehicle: Vehicle) -> bool:
+def is_ready(vehicle: Vehicle) -> bool:
+    """Tell whether a vehicle can be armed in its present mode, as far as it tells, and knows where it is."""
     return vehicle.prearm_ok and vehicle.position_ned_m is not None
 
 
