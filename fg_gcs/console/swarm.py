@@ -55,7 +55,7 @@ def options_of(chosen: argparse.Namespace, autopilot: str) -> SwarmOptions:
     for name in ("port", "base_port", "heartbeat_s", "ready_s"):
         if getattr(chosen, name) is not None:
             options = replace(options, **{name: getattr(chosen, name)})
-    return replace(options, least_pace=0.0) if chosen.slow_machine_ok else options
+    return replace(options, least_pace=0.0, watch_s=0.0) if chosen.slow_machine_ok else options
 
 
 def run(chosen: argparse.Namespace) -> ExitCode:

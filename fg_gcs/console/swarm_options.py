@@ -79,7 +79,7 @@ def add_instances(group: argparse._ArgumentGroup) -> None:  # it has no other na
     add(
         "--slow-machine-ok",
         action="store_true",
-        help="fly though their clocks run slower than 0.95 of real time: the machine starves them",
+        help="do not look whether the machine starves them: otherwise all their clocks must keep 0.95 of real time",
     )
 
 

@@ -75,6 +75,7 @@ class SwarmOptions:
         base_port: of ArduPilot's instance 0.
         heartbeat_s: how long an instance has for its first heartbeat [s].
         ready_s: how long it has until it can be armed [s].
+        watch_s: how long clocks are watched once all can be armed; twice that, if one does not tell its time [s].
         least_pace: the slowest clock that is flown with, as a share of real time; 0: any.
     """
 
@@ -89,6 +90,7 @@ class SwarmOptions:
     base_port: int = ARDUPILOT_PORT
     heartbeat_s: float = 30.0
     ready_s: float = 120.0
+    watch_s: float = 7.0
     least_pace: float = LEAST_PACE
 
     @property

@@ -62,6 +62,8 @@ class Processes:
         with suppress(OSError):  # it has gone: the future says so
             self._keeper.stdin.write(json.dumps(wish).encode() + b"\n")
             self._keeper.stdin.flush()
+        if self._gone.done():
+            self._settle(len(self._started) - 1, _gone())
         try:
             await done
         except OSError as error:
@@ -119,7 +121,7 @@ class Processes:
             self._gone.set_result(None)
         self._kill()
         for number in range(len(self._started)):
-            self._settle(number, OSError("the process that starts it has ended"))
+            self._settle(number, _gone())
         for number in tuple(self.pids):
             del self.pids[number]
             self._on_end(number, None)
@@ -128,6 +130,10 @@ class Processes:
         for pid in self.pids.values():
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(pid, signal.SIGKILL)
+
+
+def _gone() -> OSError:
+    return OSError("the process that starts it has ended")
 
 
 @asynccontextmanager

@@ -25,14 +25,15 @@ from fg_gcs.wire.address import MAIN, VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import MULTIROTORS, TakeOff
 from fg_gcs.wire.commands import run_prearm_checks, set_message_interval, set_mode
 from fg_gcs.wire.dialogue import Question
+from fg_gcs.wire.phases import Phase
 from fg_gcs.wire.vehicle import Vehicle
 
 RATE_HZ: Final = 5.0  # of positions, which show that there are some
+LOOK_S: Final = 0.25  # how often it is looked how far they are: those that do the same are told of together
 AGAIN_S: Final = 2.0  # a mode that was set too early is lost, and so are streams: then all is asked again
 CHECKS_S: Final = 5.0  # how often a vehicle is asked what keeps it from being armed
 REASONS_S: Final = 12.0  # for so long what it said counts
 TOGETHER_S: Final = 2.0  # reasons that it gives so soon after each other are of one look at itself
-MEASURING_S: Final = 7.0  # how long clocks are watched once all are ready, at most twice that
 BUSY: Final = 0.95  # a share of all processors with which nothing is left for a flight
 _REFUSALS: Final = ("prearm:", "arm:", "preflight fail", "arming denied")  # how texts begin that say why not
 
@@ -131,6 +132,7 @@ class Swarm:
         busy: share of all processors while clocks were measured, 0 to 1; NaN: not known.
         was_ready: all could be armed once.
         stopping: whoever ends now was asked to.
+        others: vehicles that were heard and are none of these.
         news: set when one has ended otherwise.
     """
 
@@ -142,6 +144,7 @@ class Swarm:
     busy: float = math.nan
     was_ready: bool = False
     stopping: bool = False
+    others: set[VehicleAddress] = field(default_factory=set)
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
@@ -251,27 +254,43 @@ async def _boot(swarm: Swarm, router: Router, own: list[Vehicle]) -> None:
         FgError: see :func:`started`.
     """
     loop, scripts = asyncio.get_running_loop(), _Scripts(router)
-    ready_s, before = math.nan, Load.now()
+    ready_s, looked_s, before = math.nan, -math.inf, Load.now()
     async for _ in ticks(loop.time(), STEP_S):
         now_s = loop.time()
+        scripts.step(own, now_s)
+        if now_s < looked_s + LOOK_S:
+            continue
+        looked_s = now_s
         swarm.settle(list(_looked(swarm, router, own, now_s)))
         _refuse(swarm, router, now_s - swarm.began_s)
-        scripts.step(own, now_s)
-        while router.notices:
-            swarm.listener.said(router.notices.popleft())
+        _tell_others(swarm, router)
         if any(member.stage is not Stage.READY for member in swarm.members):
             ready_s = math.nan
             continue
         if math.isnan(ready_s):
             ready_s, before = now_s, Load.now()
-            swarm.listener.said(f"all can be armed; watching their clocks for {MEASURING_S:g} s")
+            watching = f"; watching their clocks for {swarm.options.watch_s:g} s" if swarm.options.watch_s else ""
+            swarm.listener.said(f"all can be armed{watching}")
         for member in swarm.members:
             member.pace = router.vehicles[member.address].timing.pace(ready_s)
         known = all(math.isfinite(member.pace) for member in swarm.members)
-        if now_s - ready_s > MEASURING_S and (known or now_s - ready_s > 2.0 * MEASURING_S):
+        watched_s = now_s - ready_s
+        if watched_s >= swarm.options.watch_s and (known or watched_s >= 2.0 * swarm.options.watch_s):
             break
-    swarm.busy = _busy(before, Load.now())
-    _judge(swarm)
+    if swarm.options.watch_s:
+        swarm.busy = _busy(before, Load.now())
+        _judge(swarm)
+
+
+def _tell_others(swarm: Swarm, router: Router) -> None:
+    """Tell what the router says, and which vehicles are heard that are none of a swarm, once each."""
+    others = set(router.vehicles) - {member.address for member in swarm.members} - swarm.others
+    if others:
+        swarm.others |= others
+        verb = "is" if len(others) == 1 else "are"
+        swarm.listener.said(f"{vehicles_named(others)} {verb} heard there as well, from somewhere else")
+    while router.notices:
+        swarm.listener.said(router.notices.popleft())
 
 
 def _looked(swarm: Swarm, router: Router, own: list[Vehicle], now_s: float) -> Iterator[tuple[Member, Stage, str]]:
@@ -290,6 +309,8 @@ def _looked(swarm: Swarm, router: Router, own: list[Vehicle], now_s: float) -> I
 
 def _waits_for(vehicle: Vehicle, now_s: float) -> str:
     """Return what keeps a vehicle from being armed, for people; empty: nothing does."""
+    if vehicle.phase is Phase.LOST:
+        return "silent"
     streams_by_command = vehicle.profile.take_off is TakeOff.BY_COMMAND
     if streams_by_command and vehicle.mode != vehicle.profile.streaming_mode:
         return "mode not set yet"
