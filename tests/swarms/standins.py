@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -50,14 +51,14 @@ def beating(path: Path, *, kind: int = dialect.MAV_TYPE_QUADROTOR, armed: bool =
     return script(path, f"BEATS = {beats!r}{HEARTBEATS}")
 
 
-def some(count: int, *, first: int = 120) -> list[Instance]:
-    """Return instances with ids from 1 on, and ports that no other SITL has."""
+def some(count: int) -> list[Instance]:
+    """Return instances from 0 on, with ids from 1 on."""
     places_m = places(Layout.GRID, count, 4.0)
-    return numbered(range(first, first + count), range(1, count + 1), homes(places_m, DEFAULT_ORIGIN), "ardupilot")
+    return numbered(range(count), range(1, count + 1), homes(places_m, DEFAULT_ORIGIN), "ardupilot")
 
 
 def options(folder: Path, binary: Path) -> SwarmOptions:
-    """Return how these are started, with little patience."""
+    """Return how these are started; their ports are of this process alone, as tests run beside each other."""
     defaults = folder / "copter.parm"
     defaults.write_text("")
     return SwarmOptions(
@@ -66,6 +67,7 @@ def options(folder: Path, binary: Path) -> SwarmOptions:
         folder=folder / "sitl",
         files=defaults,
         port=free_udp_port(),
+        base_port=20_000 + 40 * (os.getpid() % 300),  # ephemeral ones are higher
         heartbeat_s=20.0,
         ready_s=20.0,
         watch_s=0.0,

@@ -9,6 +9,7 @@ import re
 import signal
 import socket
 import subprocess
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +17,12 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import all as dialect
 
+from fg_gcs.console.cli import main
 from fg_gcs.errors import FgError, LinkError, MissionError, VehicleError
 from fg_gcs.run.flying import FlyOptions, Outcome, fly_blocking
 from fg_gcs.sitl.instances import Instance, SwarmOptions
 from fg_gcs.sitl.swarm import started
-from tests.console.test_processes import GCS, PATIENCE_S, ends
+from tests.console.test_processes import GCS, ends
 from tests.flight.harness import SMALL, mission_of
 from tests.swarms.standins import OURS, Heard, alive, beating, options, script, some
 from tests.swarms.test_processes import number_in
@@ -34,16 +36,23 @@ def refusal(chosen: SwarmOptions, instances: list[Instance]) -> FgError:
     """Start instances that do not become ready; return why. None of them is left."""
     heard = Heard()
 
-    async def main() -> FgError:
+    async def start() -> FgError:
         with pytest.raises(FgError) as caught:
             async with started(chosen, instances, heard):
                 pass
         return caught.value
 
-    error = asyncio.run(main())
+    error = asyncio.run(start())
     assert "\n" not in str(error)
     assert not alive(heard.pids)
     return error
+
+
+def words(chosen: SwarmOptions, folder: Path) -> list[str]:
+    """Return the command that starts a swarm like this in a folder."""
+    binary, files = str(chosen.binary), str(chosen.files)
+    ports = ["--gcs-port", str(chosen.port), "--base-port", str(chosen.base_port)]
+    return ["swarm", "ardupilot", "--binary", binary, "--defaults", files, "--folder", str(folder), *ports]
 
 
 @pytest.mark.parametrize(
@@ -53,13 +62,13 @@ def refusal(chosen: SwarmOptions, instances: list[Instance]) -> FgError:
             lambda path: script(path, DYING),
             PATIENT,
             LinkError,
-            r"while booting instance 12\d \(vehicle \d\) ended with exit code 3; it said: no sensors; see .*; is ",
+            r"while booting instance \d \(vehicle \d\) ended with exit code 3; it said: no sensors; see .*; is ",
         ),
         (
             lambda path: script(path, SILENT),
             (0.3, 20.0),
             LinkError,
-            "no heartbeat of vehicles 1-2 within 0.3 s: is .* a SITL.* it said nothing; see .*ardupilot-120/out.log",
+            "no heartbeat of vehicles 1-2 within 0.3 s: is .* a SITL.* it said nothing; see .*ardupilot-0/out.log",
         ),
         (lambda path: beating(path, kind=dialect.MAV_TYPE_FIXED_WING), PATIENT, MissionError, "is no multirotor"),
         (lambda path: beating(path, kind=dialect.MAV_TYPE_GROUND_ROVER), PATIENT, MissionError, "is no multirotor"),
@@ -93,7 +102,7 @@ def test_ports_that_are_taken_are_named_before_anything_is_started(tmp_path: Pat
     instances = some(2)
     port = chosen.recipe.ports(chosen, instances[1].number)[2].number
     for address, reason in (
-        (("127.0.0.1", port), rf"instance 121: UDP port {port} \(remote control\) is in use"),
+        (("127.0.0.1", port), rf"instance 1: UDP port {port} \(remote control\) is in use"),
         (("127.0.0.1", chosen.port), f"port {chosen.port} is in use"),
     ):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
@@ -115,10 +124,8 @@ def test_a_mission_whose_instances_die_is_not_flown_and_says_why(tmp_path: Path)
 def test_a_swarm_becomes_ready_tells_who_ends_and_leaves_nobody_though_it_is_killed(tmp_path: Path) -> None:
     """The command, with the simulator of the project as one vehicle an instance."""
     chosen = options(tmp_path, script(tmp_path / "copter", OURS, lean=False))
-    words = ["swarm", "ardupilot", "--binary", str(chosen.binary), "--defaults", str(chosen.files), "--vehicles", "2"]
-    words += ["--folder", str(tmp_path / "own"), "--gcs-port", str(chosen.port), "--first-instance", "130"]
     process = subprocess.Popen(
-        [*GCS, *words, "--first-id", "7", "--slow-machine-ok", "--json"],
+        [*GCS, *words(chosen, tmp_path / "own"), "--vehicles", "2", "--first-id", "7", "--slow-machine-ok", "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -133,7 +140,7 @@ def test_a_swarm_becomes_ready_tells_who_ends_and_leaves_nobody_though_it_is_kil
         assert alive(pids) == pids
         os.kill(pids[0], signal.SIGKILL)
         line = next(line for line in process.stderr if "was ended by" in line)
-        assert line.startswith("instance 130 (vehicle 7) was ended by SIGKILL; ")
+        assert line.startswith("instance 0 (vehicle 7) was ended by SIGKILL; ")
         process.kill()
         assert ends(pids[1])
     finally:
@@ -142,19 +149,22 @@ def test_a_swarm_becomes_ready_tells_who_ends_and_leaves_nobody_though_it_is_kil
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
-def test_a_swarm_that_is_stopped_while_it_boots_leaves_nobody(number: signal.Signals, tmp_path: Path) -> None:
-    chosen = options(tmp_path, script(tmp_path / "copter", f"open('pid', 'w').write(str(os.getpid()))\n{SILENT}"))
-    words = ["swarm", "ardupilot", "--binary", str(chosen.binary), "--defaults", str(chosen.files), "--vehicles", "1"]
-    words += ["--folder", str(tmp_path / "own"), "--gcs-port", str(chosen.port), "--first-instance", "140", "--json"]
-    process = subprocess.Popen([*GCS, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        pid = number_in(tmp_path / "own" / "ardupilot-140" / "pid")
-        process.send_signal(number)
-        out, said = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 1
-        assert "ending all instances" in said
-        assert json.loads(out.splitlines()[-1]) == {"ready": False, "ended": True, "exit_code": 1}
-        assert not alive([pid])
-    finally:
-        process.kill()
-        process.communicate()
+def test_a_swarm_that_is_stopped_while_it_boots_leaves_nobody(
+    number: signal.Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = script(tmp_path / "copter", f"open('pid', 'w').write(str(os.getpid()))\n{SILENT}")
+    path = tmp_path / "own" / "ardupilot-1" / "pid"
+
+    def stop() -> None:
+        number_in(path)
+        os.kill(os.getpid(), number)
+
+    thread = threading.Thread(target=stop)
+    thread.start()
+    code = main([*words(options(tmp_path, told), tmp_path / "own"), "--vehicles", "2", "--json"])
+    thread.join()
+    out, said = capsys.readouterr()
+    assert code == 1
+    assert "ending all instances" in said
+    assert json.loads(out.splitlines()[-1]) == {"ready": False, "ended": True, "exit_code": 1}
+    assert not alive([number_in(path)])
