@@ -28,8 +28,9 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
     """Get every vehicle ready to arm, its streams flowing, its origin and its limits and failsafes known.
 
     Readiness counts for the present mode only. So ArduPilot is put into its streaming mode first. PX4 still stands in
-    that after a flight that its own failsafe ended, and is never ready there without setpoints: it is put into the mode
-    that it waits in.
+    that after a flight that its own failsafe ended, and is never ready there without setpoints; nor is it in the mode
+    for landing, in which it stays when it was told to land once more after it had landed (measured): it is put into the
+    mode that it waits in.
 
     Raises:
         NotDone: a vehicle refused something needed, does not tell a parameter (that of a limit may be unknown to its
@@ -48,7 +49,7 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
         profile = vehicle.profile
         if profile.take_off is TakeOff.BY_COMMAND:
             yield set_mode(profile.streaming_mode)
-        elif vehicle.mode == profile.streaming_mode and not vehicle.prearm_ok:
+        elif vehicle.mode != profile.waiting_mode and not vehicle.prearm_ok:
             yield set_mode(profile.waiting_mode)
 
     await fleet.ask(fleet.vehicles, streams, AT_ONCE)

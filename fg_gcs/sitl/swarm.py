@@ -279,7 +279,7 @@ async def _boot(swarm: Swarm, router: Router, own: list[Vehicle]) -> None:
             break
     if swarm.options.watch_s:
         swarm.busy = _busy(before, Load.now())
-        _judge(swarm)
+        judge(swarm)
 
 
 def _tell_others(swarm: Swarm, router: Router) -> None:
@@ -407,7 +407,7 @@ def _busy(before: Load | None, after: Load | None) -> float:
     return (after.busy - before.busy) / (after.all - before.all)
 
 
-def _judge(swarm: Swarm) -> None:
+def judge(swarm: Swarm) -> None:
     """Say how fast clocks run, and refuse those that are too slow.
 
     Raises:

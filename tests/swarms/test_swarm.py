@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
+import math
 import os
 import re
 import signal
@@ -16,12 +18,14 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import all as dialect
+from rich.console import Console
 
 from fg_gcs.console.cli import main
+from fg_gcs.console.swarm import table_of
 from fg_gcs.errors import FgError, LinkError, MissionError, VehicleError
 from fg_gcs.run.flying import FlyOptions, Outcome, fly_blocking
 from fg_gcs.sitl.instances import Instance, SwarmOptions
-from fg_gcs.sitl.swarm import started
+from fg_gcs.sitl.swarm import Member, Stage, Swarm, judge, started
 from tests.console.test_processes import GCS, ends
 from tests.flight.harness import SMALL, mission_of
 from tests.swarms.standins import OURS, Heard, alive, beating, options, script, some
@@ -95,6 +99,42 @@ def test_what_is_no_sitl_of_a_multirotor_is_refused_and_ends(
     error = refusal(replace(chosen, heartbeat_s=patience[0], ready_s=patience[1]), some(2))
     assert type(error) is kind
     assert re.search(reason, str(error)), error
+
+
+def test_a_machine_that_is_too_slow_is_told_with_figures(tmp_path: Path) -> None:
+    async def judged(paces: tuple[float, float], busy: float) -> list[str]:
+        chosen, heard = options(tmp_path, tmp_path / "copter"), Heard()
+        members = [Member(one, tmp_path, pace=pace) for one, pace in zip(some(2), paces, strict=True)]
+        judge(Swarm(chosen, tuple(members), (), heard, 0.0, busy))
+        return heard.lines
+
+    assert asyncio.run(judged((0.99, 1.0), 0.5)) == [
+        "the slowest clock (vehicle 1) runs at 0.990 of real time, processors 50 % busy"
+    ]
+    assert len(asyncio.run(judged((0.99, 1.0), 0.99))) == 2
+    assert asyncio.run(judged((math.nan, math.nan), math.nan)) == ["how fast their clocks run is not known"]
+    with pytest.raises(VehicleError, match=r"too slow for 2 .* \(vehicle 2\) runs at 0.800 of"):
+        asyncio.run(judged((0.99, 0.8), 0.99))
+
+
+def test_the_table_has_a_row_for_each_whatever_it_says(tmp_path: Path) -> None:
+    members = [Member(one, tmp_path, pid=17) for one in some(3)]
+    members[1].stage, members[1].waits = Stage.BOOTING, "PreArm: [red]no[/red] position"
+    members[2].stage, members[2].waits, members[2].ready_s = Stage.READY, "", 41.66
+
+    async def shown() -> str:
+        table = table_of(Swarm(options(tmp_path, tmp_path), tuple(members), (), Heard(), 0.0))
+        console = Console(width=100, file=io.StringIO())
+        console.print(table)
+        assert isinstance(console.file, io.StringIO)
+        return console.file.getvalue()
+
+    rows = [line.split() for line in asyncio.run(shown()).splitlines()]
+    assert rows[1:] == [
+        ["0", "1", "17", "starting", "no", "heartbeat", "yet"],
+        ["1", "2", "17", "booting", "PreArm:", "[red]no[/red]", "position"],
+        ["2", "3", "17", "ready", "41.7", "s"],
+    ]
 
 
 def test_ports_that_are_taken_are_named_before_anything_is_started(tmp_path: Path) -> None:
