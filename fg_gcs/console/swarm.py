@@ -42,7 +42,7 @@ def options_of(chosen: argparse.Namespace, autopilot: str) -> SwarmOptions:
         MissionError: one of them is at fault.
     """
     if chosen.binary is None:
-        raise MissionError(f"--swarm {autopilot}: --binary PATH names the SITL program")
+        raise MissionError(f"no SITL program of {autopilot} is named: --binary PATH does that")
     options = SwarmOptions(
         autopilot,
         chosen.binary,

@@ -61,8 +61,7 @@ class Keeper:
     def look(self) -> None:
         """Tell of those that have ended; nothing of their groups is left then."""
         for number, process in list(self._processes.items()):
-            # Not reaped yet, it keeps its number, so that no other group can have that
-            if os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+            if _has_ended(process):
                 _send(process.pid, signal.SIGKILL)
                 del self._processes[number]
                 _tell(ended=number, code=process.wait())
@@ -100,6 +99,13 @@ def main() -> None:
                 keeper.start(json.loads(line))
         keeper.look()
     keeper.end()
+
+
+def _has_ended(process: subprocess.Popen[bytes]) -> bool:
+    """Tell whether a process has ended; not reaped yet it keeps its number, so that no other group can have that."""
+    if hasattr(os, "waitid"):  # macOS has none
+        return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    return process.poll() is not None
 
 
 def _tell(**what: object) -> None:
