@@ -109,11 +109,9 @@ async def _watched(options: SwarmOptions, instances: list[Instance], board: _Boa
         board.was_ready = True
         board.close()
         took_s = max(member.ready_s for member in swarm.members)
-        board.said(
-            f"{len(swarm.members)} instances can be armed, {took_s:.1f} s after their start; in another terminal:"
-        )
+        board.said(f"ready {took_s:.1f} s after the start; to fly, in another terminal:")
         board.said(f"  fg-gcs fly MISSION {_connect(swarm)}", whole=True)
-        board.said("Ctrl-C ends them")
+        board.said("Ctrl-C ends all instances")
         _tell(as_json, **_figures(swarm))
         while swarm.alive:
             await swarm.news.wait()

@@ -420,7 +420,7 @@ def judge(swarm: Swarm) -> None:
     text = f"the slowest clock (vehicle {slowest.instance.system_id}) runs at {slowest.pace:.3f} of real time{busy}"
     if slowest.pace < swarm.options.least_pace:
         raise VehicleError(
-            f"the machine is too slow for {len(swarm.members)} instances: {text}; at least "
+            f"the machine is too slow for so many instances ({len(swarm.members)}): {text}; at least "
             f"{swarm.options.least_pace:g} is needed. Start fewer, or fly all the same with --slow-machine-ok"
         )
     swarm.listener.said(text)
