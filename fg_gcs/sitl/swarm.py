@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 from fg_gcs.errors import LinkError, MissionError, VehicleError
 from fg_gcs.flight.fleet import STEP_S, Script
 from fg_gcs.flight.link_check import unless_doubled
-from fg_gcs.flight.preparation import AT_ONCE, is_ready
+from fg_gcs.flight.preparation import AT_ONCE, CHECKS_S, is_ready
 from fg_gcs.link.clock import ticks
 from fg_gcs.link.endpoint import parse_networks
 from fg_gcs.link.router import Router
@@ -31,7 +31,6 @@ from fg_gcs.wire.vehicle import Vehicle
 RATE_HZ: Final = 5.0  # of positions, which show that there are some
 LOOK_S: Final = 0.25  # how often it is looked how far they are: those that do the same are told of together
 AGAIN_S: Final = 2.0  # a mode that was set too early is lost, and so are streams: then all is asked again
-CHECKS_S: Final = 5.0  # how often a vehicle is asked what keeps it from being armed
 REASONS_S: Final = 12.0  # for so long what it said counts
 TOGETHER_S: Final = 2.0  # reasons that it gives so soon after each other are of one look at itself
 BUSY: Final = 0.95  # a share of all processors with which nothing is left for a flight
