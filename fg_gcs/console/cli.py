@@ -551,8 +551,8 @@ def _swarm(chosen: argparse.Namespace) -> SwarmOptions | None:
 
     if chosen.swarm is not None:
         return options_of(chosen, chosen.swarm)
-    if chosen.binary is not None:
-        raise MissionError("--binary is for --swarm px4 or --swarm ardupilot")
+    for option in swarm_options.given(chosen):
+        raise MissionError(f"{option} is for --swarm px4 or --swarm ardupilot, which is not given")
     return None
 
 

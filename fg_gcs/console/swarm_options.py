@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
+from types import MappingProxyType
 
 EPILOG = """\
 examples:
@@ -25,6 +26,18 @@ Ctrl-C, a closed terminal or kill -9, ends all instances.
 exit codes: 0 stopped after all could be armed, 1 stopped before, or not all can be armed in time, or the machine is too
   slow, or no instance is left, 2 bad input, 3 an instance ended while it booted or is not heard, or a port is taken
 """
+
+_OF_INSTANCES = MappingProxyType(  # names of values, and their options
+    {
+        **{name: f"--{name}" for name in ("binary", "defaults", "model", "param", "spacing", "folder")},
+        "px4_etc": "--px4-etc",
+        "keep_parameters": "--keep-parameters",
+        "port": "--gcs-port",
+        "base_port": "--base-port",
+        "heartbeat_s": "--heard-within",
+        "ready_s": "--ready-within",
+    }
+)
 
 
 def add_swarm(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:  # it has no other name
@@ -81,6 +94,11 @@ def add_instances(group: argparse._ArgumentGroup) -> None:  # it has no other na
         action="store_true",
         help="do not look whether the machine starves them: otherwise all their clocks must keep 0.95 of real time",
     )
+
+
+def given(chosen: argparse.Namespace) -> list[str]:
+    """Return which options of instances are given that mean nothing without any."""
+    return [option for name, option in _OF_INSTANCES.items() if getattr(chosen, name)]
 
 
 def _positive(text: str) -> float:
