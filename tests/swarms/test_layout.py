@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fg_gcs.core.frames import Geodetic, enu_from_geodetic
@@ -14,6 +14,7 @@ from fg_gcs.errors import MissionError
 from fg_gcs.sitl.layout import Layout, homes, places, read_places
 
 
+@settings(max_examples=40)
 @given(
     layout=st.sampled_from(Layout),
     count=st.integers(1, 40),

@@ -161,6 +161,30 @@ def test_a_mission_whose_instances_die_is_not_flown_and_says_why(tmp_path: Path)
     assert (result.folder / "sitl" / "ardupilot-0" / "out.log").read_text() == "no sensors\n"
 
 
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        (["--spacing", "5"], "--spacing is for --swarm px4 or --swarm ardupilot"),
+        (["--gcs-port", "14560", "--keep-parameters"], "--keep-parameters is for --swarm"),
+        (["--swarm", "px4"], "no SITL program of px4 is named: --binary PATH does that"),
+        (["--swarm", "ardupilot", "--binary", "/bin/true", "--px4-etc", "/"], "--px4-etc is not for ardupilot"),
+        (["--swarm", "px4", "--binary", "/bin/true", "--param", "RTL_ALT"], "not of the form NAME=VALUE"),
+        (
+            ["--swarm", "ardupilot", "--binary", "/bin/true", "--defaults", "/dev/null"],
+            "has not beside it|is not a file",
+        ),
+    ],
+)
+def test_a_flight_with_options_at_fault_begins_nothing(
+    more: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mission_of(tmp_path, SMALL)
+    (mission,) = tmp_path.glob("*.toml")
+    assert main(["fly", str(mission), "--logs", str(tmp_path / "logs"), *more]) == 2
+    assert re.search(reason, capsys.readouterr().err)
+    assert not (tmp_path / "logs").exists()
+
+
 def test_a_swarm_becomes_ready_tells_who_ends_and_leaves_nobody_though_it_is_killed(tmp_path: Path) -> None:
     """The command, with the simulator of the project as one vehicle an instance."""
     chosen = options(tmp_path, script(tmp_path / "copter", OURS, lean=False))
