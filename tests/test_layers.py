@@ -34,6 +34,7 @@ ORDER = (  # imports go up this list only, never down it; the longest name that 
     "fg_gcs.record",
     "fg_gcs.flight.sightings",
     "fg_gcs.flight",
+    "fg_gcs.sitl",
     "fg_gcs.run",
     "fg_gcs.experiment.baselines",
     "fg_gcs.experiment",
@@ -57,6 +58,7 @@ EDGE = (  # where clocks and sockets live
     "fg_gcs/link/",
     "fg_gcs/record/write/",  # one writer thread
     "fg_gcs/flight/",
+    "fg_gcs/sitl/",
     "fg_gcs/run/",
     "fg_gcs/experiment/baselines/ground_stations.py",
     "fg_gcs/experiment/bare_process.py",

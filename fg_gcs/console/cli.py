@@ -9,7 +9,12 @@ import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
+
+from fg_gcs.console import swarm_options
+
+if TYPE_CHECKING:
+    from fg_gcs.sitl.instances import SwarmOptions
 
 from fg_gcs.console.plan_options import add_plan
 
@@ -35,6 +40,8 @@ examples:
   fg-gcs bench record                                what recording nine vehicles takes of a core
   fg-gcs bench stream                                setpoints beside other ground stations and a bare loop
   fg-gcs bench sim                                   the simulator alone, and whole flights with it
+  fg-gcs swarm px4 --binary build/px4_sitl_default/bin/px4 --vehicles 9
+                                                     start nine real PX4, and watch them
   fg-gcs recover                                     bring down what a crash left flying, put parameters back
   fg-gcs trial missions/*.toml --count 100           flights with random faults, judged by the simulator's truth
   fg-gcs report logs/2026-01-31T12-00-00-demo        write the report of a recorded run again
@@ -49,6 +56,8 @@ FLY_EPILOG = """examples:
   fg-gcs fly missions/demo.toml                      with the built-in simulator
   fg-gcs fly missions/sitl.toml --px4 9 --forward udpout:127.0.0.1:14560
                                                      nine PX4 SITL instances; another program watches
+  fg-gcs fly missions/sitl.toml --swarm px4 --binary build/px4_sitl_default/bin/px4
+                                                     as many real PX4 as the mission needs, started for it
   fg-gcs fly missions/sitl.toml --ardupilot 8 --connect serial:/dev/ttyUSB0:57600
                                                      eight ArduPilot SITL instances, and one behind a radio
   fg-gcs fly missions/sitl.toml --connect tcpin:0.0.0.0:5760
@@ -113,6 +122,7 @@ def parser() -> argparse.ArgumentParser:
     _add_bench(commands)
     _add_trial(commands)
     _add_recover(commands)
+    swarm_options.add_swarm(commands)
     report = commands.add_parser("report", help="write a run's report again", description="Write a report again.")
     report.add_argument("log", type=Path, metavar="LOG", help="folder of a recorded run")
     return top
@@ -165,6 +175,7 @@ def _add_fly(commands: Commands) -> None:
         metavar="JSON",
         help="something that goes wrong on their links, as in [[simulator.impairments]]; repeat for more",
     )
+    swarm_options.add_fly(fly)
     fly.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
     fly.add_argument("--json", action="store_true", help="print one JSON object a mission, the last line of stdout")
 
@@ -456,6 +467,10 @@ def _run(chosen: argparse.Namespace) -> int:
             from fg_gcs.console import recover
 
             return recover.run(chosen, _connections(chosen))
+        case "swarm":
+            from fg_gcs.console import swarm
+
+            return swarm.run(chosen)
         case "trial":
             from fg_gcs.console import trial
 
@@ -495,6 +510,7 @@ def _fly(chosen: argparse.Namespace) -> int:
     from fg_gcs.console.codes import ExitCode
     from fg_gcs.console.fly import Manner, fly
     from fg_gcs.run.flying import FlyOptions
+    from fg_gcs.wire.timing import LEAST_PACE
 
     options = FlyOptions(
         connect=_connections(chosen),
@@ -507,10 +523,29 @@ def _fly(chosen: argparse.Namespace) -> int:
         signing_keys=tuple(chosen.signing_key or ()),
         signing_setup=chosen.signing_setup,
         forward=tuple(chosen.forward or ()),
+        swarm=_swarm(chosen),
+        spacing_m=chosen.spacing,
+        least_pace=0.0 if chosen.slow_machine_ok else LEAST_PACE,
     )
     manner = Manner(chosen.speed, chosen.json)
     codes = (fly(path, options, manner) for path in chosen.missions)
     return next((code for code in codes if code is not ExitCode.DONE), ExitCode.DONE)
+
+
+def _swarm(chosen: argparse.Namespace) -> SwarmOptions | None:
+    """Return how instances are started for a flight; None: they are not.
+
+    Raises:
+        MissionError: an option is at fault.
+    """
+    from fg_gcs.console.swarm import options_of
+    from fg_gcs.errors import MissionError
+
+    if chosen.swarm is not None:
+        return options_of(chosen, chosen.swarm)
+    for option in swarm_options.given(chosen):
+        raise MissionError(f"{option} is for --swarm px4 or --swarm ardupilot, which is not given")
+    return None
 
 
 def _positive(text: str) -> float:

@@ -12,10 +12,9 @@ import traceback
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 from fg_gcs.console.codes import ExitCode
-from fg_gcs.console.nonblocking import unhurried
+from fg_gcs.console.nonblocking import unhurried_errors
 from fg_gcs.console.plan import tell_if_not_built
 from fg_gcs.console.terminal import PatientConsole, Terminal, closing
 from fg_gcs.errors import MissionError
@@ -59,7 +58,7 @@ def fly(path: Path, options: FlyOptions, manner: Manner) -> ExitCode:
     gc.freeze()  # what is loaded by now stays: a full collection in flight would take tens of milliseconds
     result: RunResult | None = None
     with suppress(BrokenPipeError), ExitStack() as stack:  # a reader that has gone changes no exit code
-        console = PatientConsole(file=sys.stderr if virtual else _unhurried(stack), highlight=False)
+        console = PatientConsole(file=sys.stderr if virtual else unhurried_errors(stack), highlight=False)
         terminal = stack.enter_context(Terminal(mission.description, console, live=not virtual and console.is_terminal))
         result = fly_blocking(mission, options, (terminal, _Signals()), speed=manner.speed)
         if result.outcome in (Outcome.COMPLETED, Outcome.ABORTED):
@@ -86,14 +85,6 @@ def code_of(result: RunResult) -> ExitCode:
     """Return the exit code that says how a run ended."""
     code = CODES[result.outcome]
     return ExitCode.NOT_IN_ORDER if code in (ExitCode.DONE, ExitCode.ABORTED) and not result.in_order else code
-
-
-def _unhurried(stack: ExitStack) -> TextIO:
-    """Return a way to standard error that never makes us wait, open as long as the stack."""
-    try:
-        return stack.enter_context(unhurried(sys.stderr))
-    except OSError:  # it is no file, so nothing that could stand still
-        return sys.stderr
 
 
 class _Signals(Observer):

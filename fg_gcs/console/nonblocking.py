@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import os
 import queue
+import sys
 import threading
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final, TextIO
 
 if TYPE_CHECKING:
@@ -78,3 +80,11 @@ def unhurried(stream: TextIO) -> TextIO:
     return io.TextIOWrapper(
         io.BufferedWriter(NonBlockingWriter(stream.fileno()), LARGEST_BYTES), stream.encoding, "replace"
     )
+
+
+def unhurried_errors(stack: ExitStack) -> TextIO:
+    """Return a way to standard error that never makes us wait, open as long as the stack."""
+    try:
+        return stack.enter_context(unhurried(sys.stderr))
+    except OSError:  # it is no file, so nothing that could stand still
+        return sys.stderr

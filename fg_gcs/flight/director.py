@@ -85,6 +85,7 @@ class Setup(NamedTuple):
     kept: KeptParameters | None = None  # where users' own values of parameters are kept while they are changed
     signing: Mapping[str, Signing] = MappingProxyType({})  # by network, see `Router.open`
     forwards: Forwards | None = None  # who else gets telemetry
+    least_pace: float = 0.0  # slower clocks than this share of real time are not flown
 
 
 @dataclass
@@ -228,7 +229,7 @@ class Director:
                 flights.append(await self._flight(fleet, plan.task, plan))
                 assert self._custody is not None, "made with the flight"
                 await let_return(fleet, plan, failsafes[0], self._custody, self.journal)
-                unfit = unfit_links(router, fleet.vehicles)
+                unfit = unfit_links(router, fleet.vehicles, self._setup.least_pace)
                 if unfit is not None:
                     raise VehicleError(unfit)
 
@@ -519,14 +520,9 @@ class Director:
     async def _listen(self, streamer: Streamer, task: Task, plan: FlightPlan) -> TargetFollower:
         """Open the sources of moving targets, before anything is armed."""
         setup = self._setup
+        slots_m = task.formation.slots_m[plan.slot_of]
         target_follower = TargetFollower(
-            self.mission,
-            task,
-            task.formation.slots_m[plan.slot_of],
-            streamer,
-            self.journal,
-            setup.stopwatch,
-            setup.substitutes,
+            self.mission, task, slots_m, streamer, self.journal, setup.stopwatch, setup.substitutes
         )
         await target_follower.open()
         return target_follower

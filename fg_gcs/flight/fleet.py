@@ -197,7 +197,7 @@ class Fleet:
         Raises:
             NotDone: one line with everything that was refused or timed out; all else was finished first.
         """
-        running = [_Script(vehicle, script(vehicle), at_once) for vehicle in vehicles]
+        running = [Script(vehicle, script(vehicle), at_once) for vehicle in vehicles]
         loop = asyncio.get_running_loop()
         async for _ in ticks(loop.time(), STEP_S):
             for one in running:
@@ -211,7 +211,7 @@ class Fleet:
             raise NotDone([one.vehicle for one in failed], text)
 
 
-class _Script:
+class Script:
     """What one vehicle is asked, some of it at a time; after a failure nothing new is begun.
 
     Attributes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Coroutine, Sequence
 from typing import Final
 
@@ -38,11 +39,12 @@ async def unless_doubled(work: Coroutine[object, object, None], router: Router, 
         await asyncio.gather(job, return_exceptions=True)
 
 
-def unfit_links(router: Router, vehicles: Sequence[Vehicle]) -> str | None:
+def unfit_links(router: Router, vehicles: Sequence[Vehicle], least_pace: float = 0.0) -> str | None:
     """Return in one line why these vehicles must not be armed, with its figures; None: their links are good enough.
 
     Two vehicles under one id come first, with the addresses that they speak from; then links that lose or delay too
-    much, see `LinkQuality.unfit`, those with the same figures together.
+    much, see `LinkQuality.unfit`, those with the same figures together; then clocks that run slower than a share of
+    real time: a machine that starves simulators.
     """
     doubled = router.doubled
     twice = [doubled[vehicle.address] for vehicle in vehicles if vehicle.address in doubled]
@@ -53,4 +55,17 @@ def unfit_links(router: Router, vehicles: Sequence[Vehicle]) -> str | None:
             by_reason.setdefault(reason, []).append(vehicle.address)
     bad = [f"{vehicles_named(addresses)} ({reason})" for reason, addresses in by_reason.items()]
     lines = [*twice, *([f"the link is too bad to fly over: {', '.join(bad)}"] if bad else [])]
+    slowest = min(vehicles, key=_pace)
+    if _pace(slowest) < least_pace:
+        lines.append(
+            f"the machine is too slow for these simulators: the clock of vehicle {slowest.address} runs at "
+            f"{_pace(slowest):.3f} of real time (least {least_pace:g}); fly fewer, or all the same with "
+            "--slow-machine-ok"
+        )
     return "; ".join(lines) or None
+
+
+def _pace(vehicle: Vehicle) -> float:
+    """Return how fast a vehicle's clock goes; infinite where it is not known."""
+    pace = vehicle.timing.pace()
+    return math.inf if math.isnan(pace) else pace

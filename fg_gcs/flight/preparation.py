@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -9,10 +10,11 @@ from dataclasses import replace
 from fg_gcs.errors import VehicleError
 from fg_gcs.flight.fleet import Fleet, NotDone, NotInTime, until
 from fg_gcs.flight.journal import Journal
+from fg_gcs.link.clock import ticks
 from fg_gcs.plan.limits import Limits
 from fg_gcs.wire.address import VehicleAddress, vehicles_named
 from fg_gcs.wire.autopilots import AutopilotProfile, TakeOff
-from fg_gcs.wire.commands import request_origin, request_version, set_message_interval, set_mode
+from fg_gcs.wire.commands import request_origin, request_version, run_prearm_checks, set_message_interval, set_mode
 from fg_gcs.wire.dialogue import Question
 from fg_gcs.wire.reading import ReadParameters, Wanted
 from fg_gcs.wire.vehicle import Vehicle
@@ -21,6 +23,7 @@ READY_S = 90.0  # ArduCopter needs 41 s from its boot until it can arm; twice th
 PAIRING_S = 1.0  # four positions on Earth come in that
 TELEMETRY_HZ = (25.0, 20.0)  # of positions: for small swarms, and for those of more than MANY vehicles
 MANY = 50
+CHECKS_S = 5.0  # how often a vehicle is asked what keeps it from being armed
 AT_ONCE = 8  # questions to one vehicle at a time: streams and parameters tell themselves apart by ids and names
 
 
@@ -28,8 +31,9 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
     """Get every vehicle ready to arm, its streams flowing, its origin and its limits and failsafes known.
 
     Readiness counts for the present mode only. So ArduPilot is put into its streaming mode first. PX4 still stands in
-    that after a flight that its own failsafe ended, and is never ready there without setpoints: it is put into the mode
-    that it waits in.
+    that after a flight that its own failsafe ended, and is never ready there without setpoints; nor is it in the mode
+    for landing, in which it stays when it was told to land once more after it had landed (measured): it is put into the
+    mode that it waits in.
 
     Raises:
         NotDone: a vehicle refused something needed, does not tell a parameter (that of a limit may be unknown to its
@@ -48,25 +52,35 @@ async def prepare(fleet: Fleet, journal: Journal) -> None:
         profile = vehicle.profile
         if profile.take_off is TakeOff.BY_COMMAND:
             yield set_mode(profile.streaming_mode)
-        elif vehicle.mode == profile.streaming_mode and not vehicle.prearm_ok:
+        elif vehicle.mode != profile.waiting_mode and not vehicle.prearm_ok:
             yield set_mode(profile.waiting_mode)
 
     await fleet.ask(fleet.vehicles, streams, AT_ONCE)
     _refuse_armed(fleet)
     await fleet.ask(fleet.vehicles, mode)
+    asking = asyncio.ensure_future(_ask_why(fleet))
     try:
-        await until(
-            lambda: [vehicle for vehicle in fleet.vehicles if not (vehicle.armed or _ready(vehicle))],
-            READY_S,
-            "become ready to arm",
-        )
+        await until(lambda: _unready(fleet), READY_S, "become ready to arm")
     except NotInTime as error:
         raise NotDone(error.vehicles, not_ready(error.vehicles)) from error
+    finally:
+        asking.cancel()
     with suppress(NotInTime):  # without it frames are taken to lie where they are told to
         await until(lambda: [v for v in fleet.vehicles if v.pairing is None], PAIRING_S, "tell where they are on Earth")
     _refuse_armed(fleet)
     await fleet.ask(fleet.vehicles, lambda vehicle: [replace(request_origin(), deadline_s=READY_S)])
     journal.event("ready", f"{len(fleet.vehicles)} vehicles are ready to arm")
+
+
+def _unready(fleet: Fleet) -> list[Vehicle]:
+    return [vehicle for vehicle in fleet.vehicles if not (vehicle.armed or is_ready(vehicle))]
+
+
+async def _ask_why(fleet: Fleet) -> None:
+    """Ask vehicles that are not ready what keeps them from it, now and then; PX4 does not say it by itself."""
+    async for _ in ticks(asyncio.get_running_loop().time() + CHECKS_S, CHECKS_S):
+        for vehicle in _unready(fleet):
+            fleet.router.send_message(vehicle.address, run_prearm_checks(vehicle))
 
 
 def parameters_of(profile: AutopilotProfile) -> tuple[Wanted, ...]:
@@ -86,7 +100,8 @@ def _refuse_armed(fleet: Fleet) -> None:
         raise VehicleError(f"armed already, by another ground station: {vehicles_named(armed)}")
 
 
-def _ready(vehicle: Vehicle) -> bool:
+def is_ready(vehicle: Vehicle) -> bool:
+    """Tell whether a vehicle can be armed in its present mode, as far as it tells, and knows where it is."""
     return vehicle.prearm_ok and vehicle.position_ned_m is not None
 
 

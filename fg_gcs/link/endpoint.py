@@ -117,13 +117,13 @@ def _serial(device: str, baud: int) -> Endpoint:
     return Endpoint(Kind.SERIAL, device, baud)
 
 
-def px4_endpoints(instances: int) -> tuple[str, ...]:
-    """Return where SITL instances 0, 1, 2 ... of PX4 send by themselves, as their start script has it.
+def px4_endpoints(instances: int, first: int = 0) -> tuple[str, ...]:
+    """Return where SITL instances of PX4 send by themselves, from the first one's number on, as their script has it.
 
     Each sends to a ground station's port, 14550 for all, and to one of its own for an onboard computer: that one, so
     that another ground station can have the first. From instance 9 on they share one (measured, see docs/autopilots).
     """
-    ports = range(PX4_PORT, PX4_PORT + min(instances, PX4_PORTS))
+    ports = dict.fromkeys(PX4_PORT + min(number, PX4_PORTS - 1) for number in range(first, first + instances))
     return tuple(f"{Kind.UDP_IN.value}:{_LOCAL}:{port}" for port in ports)
 
 

@@ -491,11 +491,8 @@ class Mission(MissionTable):
         return {table.path: table.file.data for table in tables if isinstance(table, FileTable)}
 
     def pads_enu_m(self) -> Array:
-        """Return the pads of simulated vehicles: a square grid, row by row northwards, shape (V, 2) [m]."""
-        columns = int(np.ceil(np.sqrt(self.swarm.vehicles)))
-        index = np.arange(self.swarm.vehicles)
-        grid = np.stack((index % columns, index // columns), axis=1) * self.pads.spacing_m
-        pads: Array = grid + np.array(self.pads.first_enu_m)
+        """Return the pads of simulated vehicles: a square grid, shape (V, 2) [m]."""
+        pads: Array = square_grid(self.swarm.vehicles, self.pads.spacing_m) + np.array(self.pads.first_enu_m)
         return pads
 
     def tops_enu_m(self) -> Array:
@@ -508,3 +505,11 @@ class Mission(MissionTable):
         if self.origin is None:
             return DEFAULT_ORIGIN
         return Geodetic(self.origin.latitude_deg, self.origin.longitude_deg, self.origin.altitude_m)
+
+
+def square_grid(count: int, spacing_m: float) -> Array:
+    """Return places on a square grid, row by row northwards from (0, 0), shape (V, 2) [m; east, north]."""
+    columns = int(np.ceil(np.sqrt(count)))
+    index = np.arange(count)
+    grid: Array = np.column_stack((index % columns, index // columns)).astype(float)
+    return grid * spacing_m

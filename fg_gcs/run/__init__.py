@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from fg_gcs.run.planning import PlannedMission, plan
     from fg_gcs.run.reporting import report
     from fg_gcs.scenario.motions import TrueMotion
+    from fg_gcs.sitl.instances import SwarmOptions
 
 _HOMES = {
     "FgError": "fg_gcs.errors",
@@ -35,6 +36,7 @@ _HOMES = {
     "RunEvent": "fg_gcs.flight.snapshot",
     "RunResult": "fg_gcs.run.flying",
     "Snapshot": "fg_gcs.flight.snapshot",
+    "SwarmOptions": "fg_gcs.sitl.instances",
     "TrueMotion": "fg_gcs.scenario.motions",
     "VehicleError": "fg_gcs.errors",
     "fly": "fg_gcs.run.flying",
@@ -60,6 +62,7 @@ __all__ = [
     "RunEvent",
     "RunResult",
     "Snapshot",
+    "SwarmOptions",
     "TrueMotion",
     "VehicleError",
     "fly",

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fg_gcs.errors import FgError, LinkError, MissionError
+from fg_gcs.errors import FgError, LinkError, MissionError, VehicleError
 from fg_gcs.flight.director import Director, FlightResult, Setup
 from fg_gcs.flight.sightings.own_source import OwnSightings
 from fg_gcs.flight.sightings.sighting_sources import Substitutes
@@ -41,8 +41,11 @@ from fg_gcs.run.simulators import (
     wish_of,
 )
 from fg_gcs.run.summary import read_truth, summary_of
+from fg_gcs.run.swarms import heard_at, instances_of, swarm_for
 from fg_gcs.scenario.motions import TrueMotion
+from fg_gcs.sitl.instances import Instance, SwarmOptions
 from fg_gcs.wire.address import MAIN
+from fg_gcs.wire.timing import LEAST_PACE
 
 VIRTUAL_PORT, VIRTUAL_TARGETS_PORT = 14550, 14560  # in virtual time no other program is there
 
@@ -55,6 +58,7 @@ class _Extras(NamedTuple):
 
     keys: Mapping[str, bytes]  # by network
     forwards: Forwards | None
+    instances: Sequence[Instance]  # that are started for it
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,10 @@ class FlyOptions:
         forward: who else gets telemetry, each ``[NAME=]udpout:HOST:PORT`` or ``[NAME=]tcp:HOST:PORT``, NAME being the
             network whose vehicles it sees.
         signing_setup: vehicles do not have the keys yet: they are given them, and must sign before anything is armed.
+        swarm: real SITL instances are started for the flight, as many as the mission has vehicles, in place of
+            ``connect``; without a folder they have theirs in the run's.
+        spacing_m: between the homes of neighbouring ones [m]; None: as the mission's pads.
+        least_pace: slower clocks of real vehicles than this share of real time are not flown with; 0: any are.
     """
 
     connect: tuple[str, ...] = ()
@@ -103,6 +111,9 @@ class FlyOptions:
     signing_setup: bool = False
     forward: tuple[str, ...] = ()
     write_report: bool = True
+    swarm: SwarmOptions | None = None
+    spacing_m: float | None = None
+    least_pace: float = LEAST_PACE
 
 
 class Outcome(Enum):
@@ -174,6 +185,11 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
         MissionError: the options are at fault, or no folder can be made for the record; nothing was begun.
     """
     chosen = options or FlyOptions()
+    instances = instances_of(mission, chosen.swarm, chosen.spacing_m)
+    if chosen.swarm is not None:
+        if chosen.connect:
+            raise MissionError("--swarm starts the vehicles: leave --connect, --px4 and --ardupilot out")
+        chosen = replace(chosen, connect=heard_at(chosen.swarm, instances))
     networks = _networks(mission, chosen)
     forwards = _forwards(mission, chosen, networks)
     files = key_files(chosen.signing_keys, networks or (MAIN,))
@@ -198,7 +214,8 @@ async def fly(mission: Mission, options: FlyOptions | None = None, observers: Se
         audience = await stack.enter_async_context(
             Audience.open(observers, recorder, folder if chosen.serve_snapshots and not virtual else None)
         )
-        director, error = await _flown(mission, chosen, networks, wish, _Extras(keys, forwards), recorder, audience)
+        extras = _Extras(keys, forwards, instances)
+        director, error = await _flown(mission, chosen, networks, wish, extras, recorder, audience)
         result = await asyncio.to_thread(_finished, mission, chosen, director, error, recorder, loop.time())
     if isinstance(error, asyncio.CancelledError):
         raise error
@@ -397,6 +414,7 @@ async def _surroundings(
         recorder.event(loop.time(), "warning", text)
 
     async with (
+        swarm_for(options.swarm, extras.instances, recorder),
         simulated(mission, wish, port, targets_port, recorder.folder) as simulators,
         signing_with(
             extras.keys, VIRTUAL_EPOCH_S if virtual else time.time(), folder, warn, sets_up=options.signing_setup
@@ -418,6 +436,7 @@ async def _surroundings(
             kept,
             signing,
             extras.forwards,
+            0.0 if own else options.least_pace,
         )
         if kept is not None:
             kept.close()
@@ -467,6 +486,8 @@ def _outcome(flight: FlightResult, error: Exception | None) -> Outcome:
             return Outcome.COMPLETED if flight.completed else Outcome.ABORTED
         case LinkError():
             return Outcome.NO_ANSWER
+        case VehicleError():  # before anything was armed
+            return Outcome.ABORTED
         case FgError():
             return Outcome.NOT_FLOWN
         case _:

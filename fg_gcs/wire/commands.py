@@ -169,6 +169,11 @@ def request_version() -> Request:
     return replace(asked, deadline_s=_VERSION_S, optional=True)
 
 
+def run_prearm_checks(vehicle: Vehicle) -> Message:
+    """Return the wish to be told at once, as texts, what keeps a vehicle from being armed; there is no answer else."""
+    return _command(vehicle, dialect.MAV_CMD_RUN_PREARM_CHECKS)
+
+
 def set_message_interval(message_id: int, rate_hz: float, *, optional: bool = True) -> Request:
     """Ask for a stream; done when the vehicle tells that rate for it, which it is asked for together with the stream.
 

@@ -22,6 +22,9 @@ DRIFT: Final = 1e-4  # of a vehicle's clock against ours, twice what quartz has;
 SLACK_S: Final = 0.01  # stamps are whole milliseconds, and machines are busy
 LEAST_SHARE: Final = 0.5  # of the least round trip: least delays that add up to less are of a clock that has moved
 ANSWER_S: Final = 2.5  # an answer that takes longer is lost: the delay of each way may be 1 s
+PACED: Final = 32  # answers that the pace of a vehicle's clock is told by: a quarter of a minute
+PACE_S: Final = 3.0  # they must lie so far apart: an answer that is 20 ms late changes it by less than a hundredth
+LEAST_PACE: Final = 0.95  # real SITL keeps 0.987 and more; on a machine too busy one was 9 m off its circle
 OUTCOMES: Final = 64  # requests whose answers are counted: half a minute on the ground, six seconds in flight
 ROUND_TRIPS: Final = 16  # of which the delay is the mean
 MOST_LATE_S: Final = 4.0  # samples come late, or a second time, by less; what is older is of another boot
@@ -207,6 +210,7 @@ class LinkTiming:
         self.sequence = SequenceCounter()
         self.clock = BootClock()
         self.heard_us_s = math.nan
+        self._answers: deque[tuple[float, float]] = deque(maxlen=PACED)  # the vehicle's time, and ours [s]
         self._asked: dict[int, float] = {}  # requests under way: what they say [ns], and when they left [s]
         self._outcomes: deque[bool] = deque(maxlen=OUTCOMES)
         self._round_trips_s: deque[float] = deque(maxlen=ROUND_TRIPS)
@@ -232,6 +236,9 @@ class LinkTiming:
         if not sent_s <= self.heard_us_s:
             self.heard_us_s = sent_s
         self._outcomes.append(True)
+        if self._answers and vehicle_ns / 1e9 < self._answers[-1][0]:  # it has started again
+            self._answers.clear()
+        self._answers.append((vehicle_ns / 1e9, 0.5 * (sent_s + now_s)))
         self._round_trips_s.append(now_s - sent_s)
         self.clock.answered(vehicle_ns / 1e9, sent_s, now_s)
 
@@ -247,6 +254,19 @@ class LinkTiming:
         self._rolled_s = now_s
         self._quality = None
         self._strays.append(self.clock.strays)
+
+    def pace(self, since_s: float = -math.inf) -> float:
+        """Return how fast its clock goes, as a share of ours, by TIMESYNC; NaN while that is not known.
+
+        A simulator that gets too little of a processor is slow: its vehicles then have less than they need.
+
+        Args:
+            since_s: What was answered before is not counted [s].
+        """
+        answers = [each for each in self._answers if each[1] >= since_s]
+        if not answers or answers[-1][1] - answers[0][1] < PACE_S:
+            return math.nan
+        return (answers[-1][0] - answers[0][0]) / (answers[-1][1] - answers[0][1])
 
     @property
     def doubled(self) -> str | None:

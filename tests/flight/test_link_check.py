@@ -49,3 +49,25 @@ def test_links_are_judged_in_one_line(links: tuple[tuple[int, int], ...], reason
 
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         assert runner.run(main()) == reason
+
+
+def test_a_clock_that_runs_slow_keeps_all_on_the_ground() -> None:
+    async def main() -> list[str | None]:
+        router = await Router.open({MAIN: [Endpoint(Kind.UDP_IN, "127.0.0.1", PORT)]})
+        await speaking(3, 0, 1.0)
+        await asyncio.sleep(0.1)
+        (vehicle,) = router.vehicles.values()
+        for k in range(12):
+            vehicle.timing.asked(k, 0.5 * k)
+            vehicle.timing.answered(round(0.8e9 * 0.5 * k) + 1, k, 0.5 * k)
+        found = [unfit_links(router, [vehicle], least) for least in (0.0, 0.79, 0.95)]
+        router.close()
+        return found
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        *flown, slow = runner.run(main())
+    assert flown == [None, None]
+    assert slow == (
+        "the machine is too slow for these simulators: the clock of vehicle 3 runs at 0.800 of real time "
+        "(least 0.95); fly fewer, or all the same with --slow-machine-ok"
+    )

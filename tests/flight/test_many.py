@@ -95,6 +95,22 @@ def armed(folder: Path, autopilot: str, count: int, judge: Judge) -> Times:
         return runner.run(run())
 
 
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_who_stands_in_the_mode_for_landing_can_fly_again(autopilot: str, tmp_path: Path) -> None:
+    """PX4 is not ready to be armed there, and stays there when it was told to land after it had landed."""
+
+    async def run() -> None:
+        async with connected(tmp_path, autopilot, 3) as (fleet, journal, _):
+            await fleet.ask(fleet.vehicles[1:], lambda vehicle: [set_mode(vehicle.profile.land_mode)])
+            await asyncio.sleep(3.0)
+            assert not any(vehicle.prearm_ok for vehicle in fleet.vehicles[1:])
+            await prepare(fleet, journal)
+            assert all(vehicle.prearm_ok for vehicle in fleet.vehicles)
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        runner.run(run())
+
+
 @pytest.mark.parametrize(
     ("uid", "port", "own"),
     [

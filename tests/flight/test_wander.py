@@ -81,7 +81,7 @@ def test_who_stands_still_does_not_wander() -> None:
 
 
 def test_a_flight_that_is_too_narrow_is_refused_before_arming(tmp_path: Path) -> None:
-    result, closest_m = flown(mission_with("5.0", 0.5), tmp_path)
+    result, closest_m = flown(mission_with("3.0", 0.5), tmp_path)
     assert result.outcome is Outcome.NOT_FLOWN
     assert "the smallest edge that is safe is" in result.reason
     assert closest_m == np.inf
@@ -96,7 +96,7 @@ def test_an_edge_of_its_own_is_wide_enough(tmp_path: Path) -> None:
     assert closest_m > 1.0
     assert result.flight is not None
     assert result.flight.task is not None
-    assert 5.0 < result.flight.task.edge_m < 9.0
+    assert 2.2 < result.flight.task.edge_m < 4.0
     (name,) = KeptCalibrations(state).read()
     assert name == "PX4 1.17.0"
     assert KeptCalibrations(state).read()[name].wander_m == pytest.approx(0.3, rel=0.5)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fg_gcs.wire.sequence import STEP_S, SequenceCounter
-from fg_gcs.wire.timing import CONSISTENT, MOST_LATE_S, BootClock, LinkQuality, LinkTiming
+from fg_gcs.wire.timing import CONSISTENT, MOST_LATE_S, PACE_S, BootClock, LinkQuality, LinkTiming
 
 
 class Link(NamedTuple):
@@ -302,3 +302,33 @@ def test_a_vehicle_is_asked_the_more_often_in_vain_before_it_counts_as_deaf_the_
     assert misses(0.05) < misses(0.1) < misses(0.2) < misses(0.3) < misses(0.9)
     assert math.isfinite(misses(1.0))
     assert LinkQuality(math.nan, math.nan, 0.0, 0.0, 0.0).misses == 0.0
+
+
+@given(rate=st.floats(0.3, 2.0), jitter_s=st.floats(0.0, 0.05), loss=st.floats(0.0, 0.5), seed=st.integers(0, 99))
+def test_pace_is_that_of_the_vehicles_clock_whatever_the_link(
+    rate: float, jitter_s: float, loss: float, seed: int
+) -> None:
+    """Each way takes up to the jitter longer; the answer's middle is off by half of that at most."""
+    draw, timing, spans_s = random.Random(seed), LinkTiming(), []
+    for k in range(60):
+        asked_s = 0.5 * k
+        timing.asked(k, asked_s)
+        there_s = asked_s + 0.01 + draw.uniform(0.0, jitter_s)
+        if draw.random() >= loss:
+            timing.answered(round(1e9 * rate * (there_s + 100.0)), k, there_s + 0.01 + draw.uniform(0.0, jitter_s))
+            spans_s.append(asked_s)
+        pace = timing.pace()
+        if math.isfinite(pace):
+            span_s = min(spans_s[-1] - spans_s[0], 15.5)
+            assert abs(pace - rate) <= 2.0 * rate * jitter_s / max(span_s - jitter_s, PACE_S - jitter_s) + 1e-6
+        else:
+            assert spans_s == [] or spans_s[-1] - spans_s[0] < PACE_S + jitter_s
+    assert math.isnan(timing.pace(asked_s - 1.0)), "nothing that was answered earlier counts"
+
+
+def test_a_vehicle_that_starts_again_has_a_pace_of_its_own() -> None:
+    timing = LinkTiming()
+    for k in range(20):
+        timing.asked(k, 0.5 * k)
+        timing.answered(round(1e9 * (0.5 * k if k < 10 else 0.4 * (k - 9))), k, 0.5 * k)
+    assert timing.pace() == pytest.approx(0.8)

@@ -1,0 +1,137 @@
+"""The options of ``swarm``, and those that ``fly --swarm`` shares with it; imports nothing that takes its time."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from types import MappingProxyType
+
+EPILOG = """\
+examples:
+  fg-gcs swarm px4 --binary PX4-Autopilot/build/px4_sitl_default/bin/px4 --vehicles 9
+                                                     nine on a grid of 4 m; fly them with: fly MISSION --px4 9
+  fg-gcs swarm ardupilot --binary ardupilot/build/sitl/bin/arducopter --vehicles 9 --first-id 10
+                                                     nine with ids 10-18, which can fly with those above
+  fg-gcs swarm px4 --binary px4 --vehicles 4 --first-instance 9 --layout circle --spacing 20
+                                                     instances 9-12, whose ids are 10-13, on a circle
+  fg-gcs swarm ardupilot --binary arducopter --defaults copter.parm --param PSC_JERK_XY=20 --vehicles 9
+                                                     a parameter set in each
+  fg-gcs fly missions/sitl.toml --swarm px4 --binary px4
+                                                     starts as many as the mission needs, flies it, and ends them
+
+Each instance has a folder of its own, sitl/px4-0 and so on, with what it says in out.log. Whatever ends this program,
+Ctrl-C, a closed terminal or kill -9, ends all instances.
+
+exit codes: 0 stopped after all could be armed, 1 stopped before, or not all can be armed in time, or the machine is too
+  slow, or no instance is left, 2 bad input, 3 an instance ended while it booted or is not heard, or a port is taken
+"""
+
+_OF_INSTANCES = MappingProxyType(  # names of values, and their options
+    {
+        **{name: f"--{name}" for name in ("binary", "defaults", "model", "param", "spacing", "folder")},
+        "px4_etc": "--px4-etc",
+        "keep_parameters": "--keep-parameters",
+        "port": "--gcs-port",
+        "base_port": "--base-port",
+        "heartbeat_s": "--heard-within",
+        "ready_s": "--ready-within",
+    }
+)
+
+
+def add_swarm(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:  # it has no other name
+    """Add the command."""
+    swarm = commands.add_parser(
+        "swarm",
+        help="start real SITL instances, and watch them",
+        description="Start SITL instances of an autopilot that you have built, wait until each can be armed, and watch "
+        "them until Ctrl-C; then end them.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    swarm.add_argument("autopilot", choices=("px4", "ardupilot"), help="whose SITL the program is")
+    swarm.add_argument("--vehicles", type=_instances, required=True, metavar="N", help="how many instances")
+    add_instances(swarm.add_argument_group("instances"))
+    add = swarm.add_argument_group("where they are").add_argument
+    add(
+        "--layout",
+        default="grid",
+        metavar="LAYOUT",
+        help="how homes lie: grid, line (eastwards), circle, or a file with a line EAST,NORTH in metres for each "
+        "(default: %(default)s)",
+    )
+    add("--home", type=_home, metavar="LAT,LON,ALT", help="where the layout begins, or its centre (default: Zurich)")
+    add("--first-instance", type=_not_negative, metavar="N", help="its number; ports follow from it (default: 0)")
+    add("--first-id", type=_instances, metavar="ID", help="its system id (default: one more than its number)")
+    swarm.add_argument("--json", action="store_true", help="print a JSON object when all can be armed, and at the end")
+
+
+def add_fly(fly: argparse.ArgumentParser) -> None:
+    """Add what ``fly`` starts instances by."""
+    group = fly.add_argument_group("instances that are started for the flight", "as many as the mission needs")
+    group.add_argument("--swarm", choices=("px4", "ardupilot"), help="start SITL instances of it, see fg-gcs swarm")
+    add_instances(group)
+
+
+def add_instances(group: argparse._ArgumentGroup) -> None:  # it has no other name
+    """Add what one instance is like."""
+    add = group.add_argument
+    add("--binary", type=Path, metavar="PATH", help="the SITL program: px4, or arducopter")
+    add("--px4-etc", type=Path, metavar="DIR", help="PX4's folder with start scripts (default: ../etc beside it)")
+    add("--defaults", type=Path, metavar="FILE", help="ArduPilot's parameters (default: copter.parm of its sources)")
+    add("--model", metavar="NAME", help="of the vehicle (default: sihsim_quadx for px4, quad for ardupilot)")
+    add("--param", action="append", metavar="NAME=VALUE", help="a parameter to set in each; repeat for more")
+    add("--spacing", type=_positive, metavar="M", help="between neighbours (default: the mission's, or 6 m)")
+    add("--folder", type=Path, metavar="DIR", help="of their working folders (default: sitl, or the run's own)")
+    add("--keep-parameters", action="store_true", help="keep what was stored there; else they start as if new")
+    add("--gcs-port", type=_port, dest="port", metavar="P", help="where ArduPilot sends to (default: 14550)")
+    add("--base-port", type=_port, metavar="P", help="of ArduPilot's instance 0 (default: 5760)")
+    add("--heard-within", type=_positive, dest="heartbeat_s", metavar="S", help="first heartbeats (default: 30 s)")
+    add("--ready-within", type=_positive, dest="ready_s", metavar="S", help="until all can be armed (default: 120 s)")
+    add(
+        "--slow-machine-ok",
+        action="store_true",
+        help="do not look whether the machine starves them: otherwise all their clocks must keep 0.95 of real time",
+    )
+
+
+def given(chosen: argparse.Namespace) -> list[str]:
+    """Return which options of instances are given that mean nothing without any."""
+    return [option for name, option in _OF_INSTANCES.items() if getattr(chosen, name)]
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text}: not a positive number")
+    return value
+
+
+def _instances(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 250:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 250")
+    return int(text)
+
+
+def _not_negative(text: str) -> int:
+    if not text.isdecimal() or int(text) > 249:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 249")
+    return int(text)
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or not 1024 <= int(text) <= 60000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 1024 to 60000")
+    return int(text)
+
+
+def _home(text: str) -> tuple[float, float, float]:
+    try:
+        latitude, longitude, altitude = map(float, text.split(","))
+    except ValueError:
+        latitude = math.nan
+        longitude = altitude = 0.0
+    if not (abs(latitude) <= 85.0 and abs(longitude) <= 180.0 and abs(altitude) < 1e4):
+        raise argparse.ArgumentTypeError(f"{text!r} is not LAT,LON,ALT in degrees and metres, |LAT| <= 85")
+    return latitude, longitude, altitude
