@@ -32,7 +32,7 @@ from fg_gcs.sitl.swarm import Listener, Member, Stage, Swarm, started
 
 FOLDER: Final = Path("sitl")
 COLOURS: Final = {Stage.STARTING: "dim", Stage.BOOTING: "yellow", Stage.READY: "green", Stage.ENDED: "bold red"}
-SPACING_M: Final = 4.0  # as missions for real vehicles have it
+SPACING_M: Final = 6.0  # as missions for real vehicles have it
 
 
 def options_of(chosen: argparse.Namespace, autopilot: str) -> SwarmOptions:

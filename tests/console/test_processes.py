@@ -179,3 +179,26 @@ def test_a_reader_of_the_words_that_has_gone_costs_the_words_alone(tmp_path: Pat
     os.close(there)
     assert done.returncode == 0
     assert json.loads(done.stdout.splitlines()[-1])["completed"] is True
+
+
+def test_the_code_says_how_it_ended_though_nobody_reads(tmp_path: Path) -> None:
+    mission = tmp_path / "small.toml"
+    mission.write_text(SMALL)
+    here, there = os.pipe()
+    os.close(here)
+    fault = '{"kind": "taken_over", "mode": "LAND", "vehicles": [2], "stage": "hold"}'
+    command = [
+        *GCS,
+        "fly",
+        str(mission),
+        "--logs",
+        str(tmp_path / "logs"),
+        "--json",
+        "--speed",
+        "max",
+        "--fault",
+        fault,
+    ]
+    done = subprocess.run(command, stdout=there, stderr=there, timeout=PATIENCE_S, check=False)
+    os.close(there)
+    assert done.returncode == 1

@@ -14,6 +14,7 @@ from fg_gcs.experiment.measured import as_recorded
 from fg_gcs.flight.compensation import GRAVITY_M_S2, LEARNS_S, DragFit, ahead, thrust_m_s2
 from fg_gcs.mission import parse_mission
 from fg_gcs.run import FlyOptions, fly_blocking
+from tests.flight.harness import CIRCLING
 
 angles = st.floats(-0.7, 0.7)
 
@@ -74,3 +75,14 @@ def test_px4_keeps_to_its_setpoints_better(name: str, most: float, tmp_path: Pat
         assert found["completed"] is True
         rms_m.append(float(str(found["tracking_rms_m"])))
     assert rms_m[1] < most * rms_m[0]
+
+
+def test_a_late_link_teaches_no_lag(tmp_path: Path) -> None:
+    """Particles do not lag: what seems to be lag there is lateness that jitter hides, another one for each vehicle."""
+    late = {"delay_s": 0.1, "jitter_s": 0.1, "reorder": 0.1, "duplicate": 0.1}
+    options = FlyOptions(impairments=(late,), logs=tmp_path, write_report=False)
+    found = fly_blocking(parse_mission(CIRCLING), options, speed=math.inf).summary
+    assert found["completed"] is True
+    leads = found["learnt_lead_s"]
+    assert isinstance(leads, list)
+    assert max(leads) < 0.02

@@ -11,6 +11,7 @@ import pytest
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, read_kept
+from fg_gcs.run import recovering
 from fg_gcs.run.flying import FlyOptions
 from fg_gcs.run.flying import fly as run_mission
 from fg_gcs.run.recovering import RecoverOptions, RecoverResult, recover
@@ -165,6 +166,30 @@ def test_what_was_left_in_the_air_comes_down_apart(stage: str, later_s: float, a
     assert crash.parameters == [OWN[autopilot][1]] * 4
     assert crash.closest_m >= 1.45
     assert read_kept(crash.state) == []
+
+
+def test_what_another_station_flies_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They follow setpoints so long after their run has ended that somebody else must send them."""
+    monkeypatch.setattr(recovering, "OTHERS_S", -1.0)
+    crash = Crash(tmp_path, "ardupilot", "hold", 0.5)
+    result = crash.run()
+    assert not result.in_order
+    assert {each.parameters for each in result.vehicles} == {"another ground station flies it: left alone"}
+    assert [each.ours for each in result.vehicles] == [False] * 4
+    assert result.missing == []
+    assert crash.armed.all()
+    assert OWN["ardupilot"][1] not in crash.parameters
+    assert len(read_kept(crash.state)) == 4
+
+
+def test_what_cannot_be_read_any_more_is_told(tmp_path: Path) -> None:
+    crash = Crash(tmp_path, "px4", "take-off", 0.5)
+    crash.state.mkdir()
+    (crash.state / "damaged.json").write_text('{"network": "ma')
+    result = crash.run()
+    assert result.unreadable == [str(crash.state / "damaged.json")]
+    assert not result.in_order
+    assert crash.parameters == [OWN["px4"][1]] * 4
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS)
