@@ -42,7 +42,9 @@ SHOWN = {  # kinds of events for people, with their colours; the rest is for the
     "ready": "green",
     "limit": "yellow",
     "failsafe": "dim",
+    "wander": "green",
     "plan": "green",
+    "learnt": "dim",
     "stage": "bold cyan",
     "notice": "yellow",
     "fault": "bold red",
@@ -292,12 +294,15 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
         return f"{value:.{digits}f}{unit}" if isinstance(value, float) else "-"
 
     speed, acceleration = figure("flown_peak_speed_m_s", " m/s"), figure("flown_peak_acceleration_m_s2", " m/s^2")
+    closest = f"{figure('flown_min_separation_m', ' m')} by the vehicles' own estimates"
+    if isinstance(summary.get("true_min_separation_m"), float):
+        closest += f", truly {figure('true_min_separation_m', ' m')}"
     lines = [
         ("landed and disarmed", f"{summary['vehicles_landed']} of {mission.swarm.vehicles} vehicles"),
         ("flux metric at the hold", figure("flown_flux_metric", "", 3)),
-        ("closest pair", f"{figure('flown_min_separation_m', ' m')} (minimum {mission.limits.separation_m:.2f} m)"),
-        ("highest speed", f"{speed} (limit {mission.limits.speed_m_s:g})"),
-        ("highest acceleration", f"{acceleration} (limit {mission.limits.acceleration_m_s2:g})"),
+        ("closest pair", f"{closest} (minimum {mission.limits.separation_m:.2f} m)"),
+        ("highest speed", f"{speed} ({_limit(summary, mission, 'speed_m_s')})"),
+        ("highest acceleration", f"{acceleration} ({_limit(summary, mission, 'acceleration_m_s2')})"),
         ("tracking error", f"{figure('tracking_rms_m', ' m')} rms, {figure('tracking_max_m', ' m')} worst"),
         (
             "setpoints",
@@ -327,6 +332,15 @@ def closing_lines(summary: Mapping[str, object], mission: Mission) -> list[tuple
     if summary["lost"]:
         lines.append(("lost", vehicles_named(RunSummary(summary).vehicles("lost"))))
     return lines
+
+
+def _limit(summary: Mapping[str, object], mission: Mission, name: str) -> str:
+    """Return the limit that was in force, and whose it is."""
+    own: float = getattr(mission.limits, name)
+    limits = summary.get("limits")
+    in_force = limits.get(name, own) if isinstance(limits, dict) else own
+    whose = "the vehicles' own" if in_force < own else "the mission's"
+    return f"limit {in_force:g}, {whose}"
 
 
 def _tracking_lines(summary: Mapping[str, object], figure: Callable[[str, str, int], str]) -> list[tuple[str, str]]:

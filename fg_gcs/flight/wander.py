@@ -36,18 +36,21 @@ DOUBTED: Final = 1.0  # standard deviation of a wander that was measured in the 
 ALIKE: Final = 2.0  # a vehicle that wanders so many times further than its kind is counted by itself
 
 
-async def watched(fleet: Fleet, seconds: float, places: Callable[[], Array]) -> Array:
+async def watched(fleet: Fleet, seconds: float, places: Callable[[], Array], moving: Callable[[], None]) -> Array:
     """Return places at instants `LOOKS_S` apart, shape (T, V, 3) [m]; no more than `STILL` has if nothing moves.
 
     Args:
         fleet: whose.
         seconds: for how long [s].
         places: of its vehicles now, shape (V, 3) [m].
+        moving: called when it will take so long.
     """
     looks: list[Array] = []
     async for k, _ in ticks(asyncio.get_running_loop().time(), LOOKS_S):
         looks.append(np.array(places()))
         still = k == STILL[0] and np.ptp(looks, axis=0).max(initial=0.0) < STILL[1]
+        if k == STILL[0] and not still:
+            moving()
         if still or k >= round(seconds / LOOKS_S) or not fleet.vehicles:
             break
     return np.array(looks)
@@ -67,12 +70,19 @@ def step_m(positions_m: Array) -> Array:
     return np.sqrt(np.maximum(squares, 0.0))
 
 
-async def on_the_ground(fleet: Fleet) -> Array:
+async def on_the_ground(fleet: Fleet, journal: Journal) -> Array:
     """Return how far vehicles will wander in the air, by how they do on the ground, shape (V, 3) [m; ENU].
 
     Vehicles of one kind are taken together, but for those that stand out.
+
+    Args:
+        fleet: on the ground.
+        journal: told if it takes a while.
     """
-    positions_m = await watched(fleet, GROUND_S, lambda: fleet.states.position_ned_m)
+    text = f"vehicles do not quite stand still by their own estimates: watching how far they wander, for {GROUND_S:g} s"
+    positions_m = await watched(
+        fleet, GROUND_S, lambda: fleet.states.position_ned_m, lambda: journal.event("wander", text)
+    )
     steps_m = step_m(np.nan_to_num(positions_m))
     sigma_m = np.zeros((len(fleet.vehicles), 3))
     for profile in {vehicle.profile.name: vehicle.profile for vehicle in fleet.vehicles}.values():
@@ -102,7 +112,7 @@ async def expected_wander(fleet: Fleet, mission: Mission, last_m: Array, journal
     """
     given_m, hold_s = mission.limits.wander_m, mission.hold.duration_s
     if given_m is None:
-        sigma_m = await on_the_ground(fleet)
+        sigma_m = await on_the_ground(fleet, journal)
         then_m = np.array([usual(each.profile, m) for each, m in zip(fleet.vehicles, last_m.tolist(), strict=True)])
         found = Wander(np.where(sigma_m > 0.0, np.maximum(sigma_m, then_m), sigma_m), hold_s)
     else:
@@ -140,7 +150,9 @@ async def in_the_air(fleet: Fleet, told_enu_m: Callable[[], Array]) -> tuple[Arr
         That, and what it is at least, as far as so short a time tells.
     """
     loop = asyncio.get_running_loop()
-    errors_m = await watched(fleet, AIR_S, lambda: fleet.located(loop.time()).position_enu_m - told_enu_m())
+    errors_m = await watched(
+        fleet, AIR_S, lambda: fleet.located(loop.time()).position_enu_m - told_enu_m(), lambda: None
+    )
     apart_m = errors_m - errors_m.mean(axis=1, keepdims=True)
     count = len(fleet.vehicles)
     shown_m = np.sqrt((apart_m[..., :2] ** 2).mean(axis=0) * count / max(count - 1, 1))  # (V, 2)
