@@ -52,6 +52,8 @@ class FlightModel:
             raise ValueError(f"the flight model has no {', '.join(unknown)}")
         if self.law is not None and (missing := sorted(columns - set(self.values))):
             raise ValueError(f"the flight model lacks {', '.join(missing)}")
+        if self.law is not None and not self.hover_m > 0.0:
+            raise ValueError("the flight model lacks hover_m")
         if self.law is not None and self.law not in LAWS:
             raise ValueError(f"law {self.law!r} is not one of: {', '.join(LAWS)}")
 
@@ -97,4 +99,4 @@ def read_flight_model(text: str) -> FlightModel:
     tables: Mapping[str, Any] = tomllib.loads(text)
     values = {key: tuple(value) if isinstance(value, list) else value for key, value in tables["model"].items()}
     parameters = {name: (entry["column"], entry["scale"]) for name, entry in tables["parameters"].items()}
-    return FlightModel(tables["law"], values, tables["spread"], parameters, tables["hover_m"])
+    return FlightModel(tables["law"], values, tables["spread"], parameters, tables.get("hover_m", 0.0))

@@ -154,8 +154,17 @@ class Crash:
             self.closest_m = min(self.closest_m, float(gaps.min()))
 
 
-@pytest.mark.parametrize("autopilot", AUTOPILOTS)
-@pytest.mark.parametrize(("stage", "later_s"), [("take-off", 0.5), ("approach", 0.5), ("hold", 0.5), ("hold", 4.0)])
+@pytest.mark.parametrize(
+    ("stage", "later_s", "autopilot"),
+    [
+        ("take-off", 0.5, "px4"),
+        ("take-off", 0.5, "ardupilot"),
+        ("approach", 0.5, "px4"),
+        ("hold", 0.5, "ardupilot"),
+        ("hold", 4.0, "px4"),
+        ("hold", 4.0, "ardupilot"),
+    ],
+)
 def test_what_was_left_in_the_air_comes_down_apart(stage: str, later_s: float, autopilot: str, tmp_path: Path) -> None:
     crash = Crash(tmp_path, autopilot, stage, later_s)
     result = crash.run()

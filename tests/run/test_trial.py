@@ -94,7 +94,7 @@ def test_a_seed_is_a_trial_and_a_trial_is_a_flight() -> None:
     assert (first.events, first.closest_m, first.ended_s) == (second.events, second.closest_m, second.ended_s)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_trials_break_no_law(seed: int) -> None:
     missions = [load_mission(MISSIONS / f"{name}.toml") for name in ("demo", "sitl")]
     found = judge(trial_of(seed, missions, BOTH, ("paper",)))
