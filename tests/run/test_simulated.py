@@ -44,8 +44,7 @@ def test_a_fault_of_a_mission_begins_with_its_stage(tmp_path: Path) -> None:
     assert not result.in_order
 
 
-@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
-def test_a_flight_with_faults_is_the_same_flight_again(autopilot: str, tmp_path: Path) -> None:
+def test_a_flight_with_faults_is_the_same_flight_again(tmp_path: Path) -> None:
     """The same seed and tables: the same bytes on every link."""
     faults = (
         {"kind": "position_noise", "sigma_m": 0.1, "vehicles": [1], "stage": "approach"},
@@ -56,10 +55,10 @@ def test_a_flight_with_faults_is_the_same_flight_again(autopilot: str, tmp_path:
     for name in ("one", "two"):
         folder = tmp_path / name
         folder.mkdir()
-        result = flown(folder, FOUR, autopilot=autopilot, dynamics="measured", faults=faults, impairments=impairments)
+        result = flown(folder, FOUR, autopilot="ardupilot", dynamics="measured", faults=faults, impairments=impairments)
         logs.append((result.folder / "flight.tlog").read_bytes())
     assert logs[0] == logs[1]
-    assert len(logs[0]) > 100_000
+    assert len(logs[0]) > 1_000_000
 
 
 def test_a_whole_flight_has_hit_nothing(tmp_path: Path) -> None:
