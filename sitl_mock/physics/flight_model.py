@@ -52,13 +52,17 @@ class FlightModel:
             raise ValueError(f"the flight model has no {', '.join(unknown)}")
         if self.law is not None and (missing := sorted(columns - set(self.values))):
             raise ValueError(f"the flight model lacks {', '.join(missing)}")
-        if self.law is not None and not self.hover_m > 0.0:
-            raise ValueError("the flight model lacks hover_m")
         if self.law is not None and self.law not in LAWS:
             raise ValueError(f"law {self.law!r} is not one of: {', '.join(LAWS)}")
 
     def noisy(self, level_m: float) -> FlightModel:
-        """Return it with an estimator that makes it hover so far off its place [m] instead of `hover_m`."""
+        """Return it with an estimator that makes it hover so far off its place [m] instead of `hover_m`.
+
+        Raises:
+            ValueError: it does not say how far that is.
+        """
+        if not self.hover_m > 0.0:
+            raise ValueError("the flight model lacks hover_m")
         times = level_m / self.hover_m
         scaled = {name: tuple(times * x for x in np.atleast_1d(self.values[name])) for name in WANDERS}
         return replace(self, values={**self.values, **scaled}, hover_m=level_m)
