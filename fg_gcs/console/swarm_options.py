@@ -86,7 +86,7 @@ def add_instances(group: argparse._ArgumentGroup) -> None:  # it has no other na
     add("--folder", type=Path, metavar="DIR", help="of their working folders (default: sitl, or the run's own)")
     add("--keep-parameters", action="store_true", help="keep what was stored there; else they start as if new")
     add("--gcs-port", type=_port, dest="port", metavar="P", help="where ArduPilot sends to (default: 14550)")
-    add("--base-port", type=_port, metavar="P", help="of ArduPilot's instance 0 (default: 5760)")
+    add("--base-port", type=_base_port, metavar="P", help="of ArduPilot's instance 0 (default: 5760)")
     add("--heard-within", type=_positive, dest="heartbeat_s", metavar="S", help="first heartbeats (default: 30 s)")
     add("--ready-within", type=_positive, dest="ready_s", metavar="S", help="until all can be armed (default: 120 s)")
     add(
@@ -120,10 +120,14 @@ def _not_negative(text: str) -> int:
     return int(text)
 
 
-def _port(text: str) -> int:
-    if not text.isdecimal() or not 1024 <= int(text) <= 60000:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 1024 to 60000")
+def _port(text: str, most: int = 65535) -> int:
+    if not text.isdecimal() or not 1024 <= int(text) <= most:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 1024 to {most}")
     return int(text)
+
+
+def _base_port(text: str) -> int:
+    return _port(text, 60000)  # 250 instances have theirs above it
 
 
 def _home(text: str) -> tuple[float, float, float]:

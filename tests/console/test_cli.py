@@ -124,8 +124,8 @@ def test_check_names_each_file_and_fails_if_one_is_bad(tmp_path: Path, capsys: p
         .read_text()
         .replace("high_enu_m = [40.0, 50.0, 40.0]", "high_enu_m = [40.0, 18.2, 40.0]")
     )
-    assert main(["check", str(MISSIONS / "demo.toml")]) == 0
-    assert main(["check", str(MISSIONS / "demo.toml"), str(bad), str(unplannable)]) == 2
+    assert main(["check", str(MISSIONS / "circle.toml")]) == 0
+    assert main(["check", str(MISSIONS / "circle.toml"), str(bad), str(unplannable)]) == 2
     said = capsys.readouterr().err
     assert f"{bad}: [swarm] vehicles: 8 vehicles, but the formation has 9 slots" in said
     assert f"{unplannable}: the formation does not fit around the target" in said

@@ -18,7 +18,7 @@ from tests.sitl.tracking_runs import PHYSICS, command
 
 SINGLE_RUN_M = 0.3  # the record of PX4's lag says so
 CENTIMETRES_M = 0.05  # ArduPilot's worst errors are some decimetres, of one recorded flight
-TESTED = (("ardupilot", "sitl"), ("px4", "circle"), ("px4", "convoy"))
+TESTED = (("ardupilot", "sitl"), ("px4", "convoy"))
 RECORDS = {(real.autopilot, real.mission): real for real in real_flights()}
 
 
