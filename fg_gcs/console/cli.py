@@ -11,12 +11,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from fg_gcs.console import swarm_options
+from fg_gcs.console import plan_options, swarm_options
+from fg_gcs.console.numbers import count, instances, positive
 
 if TYPE_CHECKING:
     from fg_gcs.sitl.instances import SwarmOptions
-
-from fg_gcs.console.plan_options import add_plan
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 # it has no other name
 
@@ -116,7 +115,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
     _add_fly(commands)
-    add_plan(commands)
+    plan_options.add_plan(commands)
     _add_sim(commands)
     _add_experiment(commands)
     _add_bench(commands)
@@ -145,7 +144,7 @@ def _add_fly(commands: Commands) -> None:
     )
     _add_links(fly)
     fly.add_argument(
-        "--wait", type=_positive, default=30.0, metavar="S", help="for the first heartbeats (default: %(default)g s)"
+        "--wait", type=positive, default=30.0, metavar="S", help="for the first heartbeats (default: %(default)g s)"
     )
     fly.add_argument(
         "--speed",
@@ -210,14 +209,14 @@ def _add_links(fly: argparse.ArgumentParser) -> None:
 def _add_presets(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--px4",
-        type=_instances,
+        type=instances,
         default=0,
         metavar="N",
         help="hear N SITL instances of PX4 where they send by themselves: UDP 14540, 14541 ..., from the 10th on 14549",
     )
     command.add_argument(
         "--ardupilot",
-        type=_instances,
+        type=instances,
         default=0,
         metavar="N",
         help="connect to N SITL instances of ArduPilot: TCP 5760, 5770 ...",
@@ -260,7 +259,7 @@ def _add_trial(commands: Commands) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     trial.add_argument("missions", type=Path, nargs="+", metavar="MISSION", help="mission file; each seed picks one")
-    trial.add_argument("--count", type=_count, default=100, metavar="N", help="trials (default: %(default)s)")
+    trial.add_argument("--count", type=count, default=100, metavar="N", help="trials (default: %(default)s)")
     trial.add_argument("--seed", type=int, default=0, metavar="S", help="of the first trial (default: %(default)s)")
     trial.add_argument("--only", type=int, metavar="S", dest="single", help="fly this seed alone, and tell everything")
     trial.add_argument("--jobs", type=_jobs, default=1, metavar="N", help="processes (default: %(default)s)")
@@ -272,7 +271,7 @@ def _add_trial(commands: Commands) -> None:
     )
     trial.add_argument(
         "--faults",
-        type=_count,
+        type=count,
         metavar="N",
         help="in each flight; 0: none, and the last gate must never act (default: 1 or 2)",
     )
@@ -296,7 +295,7 @@ def _add_recover(commands: Commands) -> None:
     )
     _add_presets(recover)
     recover.add_argument(
-        "--wait", type=_positive, default=5.0, metavar="S", help="for heartbeats (default: %(default)g s)"
+        "--wait", type=positive, default=5.0, metavar="S", help="for heartbeats (default: %(default)g s)"
     )
     _add_signing_key(recover)
     recover.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR", help="where runs go (default: logs)")
@@ -341,10 +340,10 @@ def _add_bench(commands: Commands) -> None:
     for each in (plan, track, record, stream, sim):
         each.add_argument("--json", action="store_true", help="print one JSON object, the last line of stdout")
     track.add_argument(
-        "--flights", type=_count, default=0, metavar="N", help="fly N random missions besides (default: none)"
+        "--flights", type=count, default=0, metavar="N", help="fly N random missions besides (default: none)"
     )
     track.add_argument(
-        "--seed", type=_count, default=0, metavar="S", help="of the first of them; the next has S + 1 (default: 0)"
+        "--seed", type=count, default=0, metavar="S", help="of the first of them; the next has S + 1 (default: 0)"
     )
     track.add_argument(
         "--jobs",
@@ -379,7 +378,7 @@ def _add_stream(stream: argparse.ArgumentParser) -> None:
         "--many", type=_jobs, default=1000, metavar="N", help="vehicles in four networks (default: %(default)s)"
     )
     stream.add_argument(
-        "--seconds", type=_positive, default=10.0, metavar="S", help="of each stream (default: %(default)g s)"
+        "--seconds", type=positive, default=10.0, metavar="S", help="of each stream (default: %(default)g s)"
     )
     stream.add_argument("--alone", action="store_true", help="leave mavutil and MAVSDK out")
 
@@ -395,13 +394,13 @@ def _add_sim_bench(sim: argparse.ArgumentParser) -> None:
     )
     sim.add_argument(
         "--swarm",
-        type=_count,
+        type=count,
         default=249,
         metavar="N",
         help="vehicles of the flight in real time, an odd number; 0: no such flight (default: %(default)s)",
     )
     sim.add_argument(
-        "--seconds", type=_positive, default=20.0, metavar="S", help="of each fleet alone (default: %(default)g s)"
+        "--seconds", type=positive, default=20.0, metavar="S", help="of each fleet alone (default: %(default)g s)"
     )
 
 
@@ -548,34 +547,14 @@ def _swarm(chosen: argparse.Namespace) -> SwarmOptions | None:
     return None
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text}: not a positive number")
-    return value
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: a negative number")
-    return value
-
-
 def _jobs(text: str) -> int:
-    if (value := _count(text)) == 0:
+    if (value := count(text)) == 0:
         raise argparse.ArgumentTypeError("0: at least one job is needed")
     return value
 
 
-def _instances(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 250:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 250")
-    return int(text)
-
-
 def _speed(text: str) -> float:
-    return float("inf") if text == "max" else _positive(text)
+    return float("inf") if text == "max" else positive(text)
 
 
 if __name__ == "__main__":

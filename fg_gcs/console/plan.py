@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -111,8 +110,7 @@ def _wander_words(planned: PlannedMission) -> list[str]:
         return []
     least = figures["smallest_edge_m"]
     smallest = "" if least is None else f"; the smallest edge that is safe is {least:.1f} m"
-    share = -100.0 * math.expm1(-risk.breaches)
     return [
-        f"  wander      {figures['wander_m']:.2f} m: in {share:.2g} % of flights two come "
+        f"  wander      {figures['wander_m']:.2f} m: in {risk.percent:.2g} % of flights two come "
         f"below {planned.task.rules.separation_m:.2f} m with an edge of {figures['edge_m']:.1f} m{smallest}"
     ]

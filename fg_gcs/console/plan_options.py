@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
+
+from fg_gcs.console.numbers import not_negative
 
 EPILOG = """examples:
   fg-gcs plan missions/demo.toml --plot plan.svg     a picture of it
@@ -35,7 +36,7 @@ def add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     )
     plan.add_argument(
         "--lag",
-        type=_length,
+        type=not_negative,
         default=0.0,
         metavar="S",
         help="by how much vehicles lag behind differently, standard deviation in seconds (default: 0)",
@@ -45,11 +46,4 @@ def add_plan(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 
 
 def _wander(text: str) -> float | str:
-    return text if text in ("px4", "ardupilot") else _length(text)
-
-
-def _length(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not a number, 0 or more")
-    return value
+    return text if text in ("px4", "ardupilot") else not_negative(text)

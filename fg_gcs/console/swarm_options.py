@@ -7,10 +7,12 @@ import math
 from pathlib import Path
 from types import MappingProxyType
 
+from fg_gcs.console.numbers import instances, positive, whole
+
 EPILOG = """\
 examples:
   fg-gcs swarm px4 --binary PX4-Autopilot/build/px4_sitl_default/bin/px4 --vehicles 9
-                                                     nine on a grid of 4 m; fly them with: fly MISSION --px4 9
+                                                     nine on a grid of 6 m; fly them with: fly MISSION --px4 9
   fg-gcs swarm ardupilot --binary ardupilot/build/sitl/bin/arducopter --vehicles 9 --first-id 10
                                                      nine with ids 10-18, which can fly with those above
   fg-gcs swarm px4 --binary px4 --vehicles 4 --first-instance 9 --layout circle --spacing 20
@@ -51,7 +53,7 @@ def add_swarm(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     swarm.add_argument("autopilot", choices=("px4", "ardupilot"), help="whose SITL the program is")
-    swarm.add_argument("--vehicles", type=_instances, required=True, metavar="N", help="how many instances")
+    swarm.add_argument("--vehicles", type=instances, required=True, metavar="N", help="how many instances")
     add_instances(swarm.add_argument_group("instances"))
     add = swarm.add_argument_group("where they are").add_argument
     add(
@@ -62,8 +64,8 @@ def add_swarm(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "(default: %(default)s)",
     )
     add("--home", type=_home, metavar="LAT,LON,ALT", help="where the layout begins, or its centre (default: Zurich)")
-    add("--first-instance", type=_not_negative, metavar="N", help="its number; ports follow from it (default: 0)")
-    add("--first-id", type=_instances, metavar="ID", help="its system id (default: one more than its number)")
+    add("--first-instance", type=whole(0, 249), metavar="N", help="its number; ports follow from it (default: 0)")
+    add("--first-id", type=instances, metavar="ID", help="its system id (default: one more than its number)")
     swarm.add_argument("--json", action="store_true", help="print a JSON object when all can be armed, and at the end")
 
 
@@ -82,13 +84,20 @@ def add_instances(group: argparse._ArgumentGroup) -> None:  # it has no other na
     add("--defaults", type=Path, metavar="FILE", help="ArduPilot's parameters (default: copter.parm of its sources)")
     add("--model", metavar="NAME", help="of the vehicle (default: sihsim_quadx for px4, quad for ardupilot)")
     add("--param", action="append", metavar="NAME=VALUE", help="a parameter to set in each; repeat for more")
-    add("--spacing", type=_positive, metavar="M", help="between neighbours (default: the mission's, or 6 m)")
+    add("--spacing", type=positive, metavar="M", help="between neighbours (default: the mission's, or 6 m)")
     add("--folder", type=Path, metavar="DIR", help="of their working folders (default: sitl, or the run's own)")
     add("--keep-parameters", action="store_true", help="keep what was stored there; else they start as if new")
-    add("--gcs-port", type=_port, dest="port", metavar="P", help="where ArduPilot sends to (default: 14550)")
-    add("--base-port", type=_base_port, metavar="P", help="of ArduPilot's instance 0 (default: 5760)")
-    add("--heard-within", type=_positive, dest="heartbeat_s", metavar="S", help="first heartbeats (default: 30 s)")
-    add("--ready-within", type=_positive, dest="ready_s", metavar="S", help="until all can be armed (default: 120 s)")
+    add(
+        "--gcs-port",
+        type=whole(1024, 65535, "port"),
+        dest="port",
+        metavar="P",
+        help="where ArduPilot sends to (default: 14550)",
+    )
+    ports_from = whole(1024, 60000, "port")  # 250 instances have theirs above it
+    add("--base-port", type=ports_from, metavar="P", help="of ArduPilot's instance 0 (default: 5760)")
+    add("--heard-within", type=positive, dest="heartbeat_s", metavar="S", help="first heartbeats (default: 30 s)")
+    add("--ready-within", type=positive, dest="ready_s", metavar="S", help="until all can be armed (default: 120 s)")
     add(
         "--slow-machine-ok",
         action="store_true",
@@ -99,35 +108,6 @@ def add_instances(group: argparse._ArgumentGroup) -> None:  # it has no other na
 def given(chosen: argparse.Namespace) -> list[str]:
     """Return which options of instances are given that mean nothing without any."""
     return [option for name, option in _OF_INSTANCES.items() if getattr(chosen, name)]
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text}: not a positive number")
-    return value
-
-
-def _instances(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 250:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 250")
-    return int(text)
-
-
-def _not_negative(text: str) -> int:
-    if not text.isdecimal() or int(text) > 249:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 249")
-    return int(text)
-
-
-def _port(text: str, most: int = 65535) -> int:
-    if not text.isdecimal() or not 1024 <= int(text) <= most:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 1024 to {most}")
-    return int(text)
-
-
-def _base_port(text: str) -> int:
-    return _port(text, 60000)  # 250 instances have theirs above it
 
 
 def _home(text: str) -> tuple[float, float, float]:

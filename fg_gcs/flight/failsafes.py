@@ -135,15 +135,12 @@ class Failsafes:
 
     def _jerk(self, vehicle: Vehicle) -> dict[str, float]:
         """Return the jerk limit that a vehicle gets, by the name that it has there; nothing if it keeps its own."""
-        names = {
-            name: scale
-            for limit in vehicle.profile.limits
-            if limit.quantity == JERK
-            for name, scale in limit.names.items()
-        }
         if self._jerk_m_s3 is None:
             return {}
-        return {name: self._jerk_m_s3 / scale for name, scale in names.items() if name in vehicle.params}
+        limits = (limit.names for limit in vehicle.profile.limits if limit.quantity == JERK)
+        return {
+            name: self._jerk_m_s3 / scale for names in limits for name, scale in names.items() if name in vehicle.params
+        }
 
     async def watch(self, report: Callable[[Fault], None]) -> None:
         """Read again what was set, for ever, and set it again where it has changed: run it as a task.

@@ -307,9 +307,11 @@ class Sortie:
         expected, journal = self._task.wander, self._journal
         if expected is None or self._mission.limits.wander_m is not None:
             return
-        motion = self._streamer.motion
-        assert motion is not None, "the formation has gathered"
-        measured_m, least_m = await in_the_air(self._fleet, lambda: motion.at(self._time()).position_m)
+        gate = self._streamer.gate
+        measured = await in_the_air(self._fleet, lambda: gate.told(self._time())[0], expected.sigma_m)
+        if measured is None:
+            return
+        measured_m, least_m = measured
         self.wander_m = np.hypot(measured_m[:, 0], measured_m[:, 1])
         found, plan = expected._replace(sigma_m=np.maximum(expected.sigma_m, least_m)), self._plan
         ways = parts_of(plan.gather, plan.approach, plan.home, expected.hold_s)[1:]
@@ -319,7 +321,7 @@ class Sortie:
         if found.level_m > expected.level_m:
             journal.event("wander", f"vehicles wander by {found.level_m:.2f} m, more than was to be expected")
         if risk.breaches > MOST_RISK:
-            raise VehicleError(too_often(risk, found, self._task.rules.separation_m, None))
+            raise VehicleError(too_often(risk, found, self._task.rules.separation_m))
 
     async def _stream(self, rows: Sequence[int], plan: CheckedPlan, still: Motion | None = None) -> None:
         """Fly a plan to its end; while a vehicle is waited for, everybody rests on it.

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fg_gcs.core.arrays import Array
 from fg_gcs.flight.fleet import Fleet
@@ -25,6 +26,8 @@ from fg_gcs.mission.model import Mission
 from fg_gcs.plan.wander import Wander
 from fg_gcs.wire.autopilots import AutopilotProfile
 
+Indices = NDArray[np.intp]
+
 LOOKS_S: Final = 0.1  # slower than positions come
 APART: Final = round(0.5 / LOOKS_S)  # looks that differences of positions are taken over
 GROUND_S: Final = 10.0  # of looking at vehicles on the ground
@@ -33,27 +36,35 @@ STILL: Final = (round(1.0 / LOOKS_S), 1e-3)  # looks; positions that move less [
 NONE_M: Final = 0.005  # less than any separation is told to
 SURE: Final = 0.5  # standard deviations of its own that a measured wander is taken wider
 DOUBTED: Final = 1.0  # standard deviation of a wander that was measured in the air, over what is known of it
+FEWEST: Final = 0.5  # share of the looks in the air that must tell of all vehicles
 ALIKE: Final = 2.0  # a vehicle that wanders so many times further than its kind is counted by itself
 
 
-async def watched(fleet: Fleet, seconds: float, places: Callable[[], Array], moving: Callable[[], None]) -> Array:
+async def watched(seconds: float, places: Callable[[], Array], moving: Callable[[], None] = lambda: None) -> Array:
     """Return places at instants `LOOKS_S` apart, shape (T, V, 3) [m]; no more than `STILL` has if nothing moves.
 
     Args:
-        fleet: whose.
         seconds: for how long [s].
-        places: of its vehicles now, shape (V, 3) [m].
+        places: of vehicles now, shape (V, 3) [m].
         moving: called when it will take so long.
     """
     looks: list[Array] = []
     async for k, _ in ticks(asyncio.get_running_loop().time(), LOOKS_S):
         looks.append(np.array(places()))
-        still = k == STILL[0] and np.ptp(looks, axis=0).max(initial=0.0) < STILL[1]
-        if k == STILL[0] and not still:
+        if k == STILL[0]:
+            if np.ptp(looks, axis=0).max() < STILL[1]:
+                break
             moving()
-        if still or k >= round(seconds / LOOKS_S) or not fleet.vehicles:
+        if k >= round(seconds / LOOKS_S):
             break
     return np.array(looks)
+
+
+def kinds(fleet: Fleet) -> list[tuple[AutopilotProfile, Indices]]:
+    """Return the autopilots in a fleet, each with the rows of its vehicles."""
+    profiles = {vehicle.profile.name: vehicle.profile for vehicle in fleet.vehicles}
+    names = np.array([vehicle.profile.name for vehicle in fleet.vehicles])
+    return [(profile, np.flatnonzero(names == name)) for name, profile in profiles.items()]
 
 
 def step_m(positions_m: Array) -> Array:
@@ -80,13 +91,10 @@ async def on_the_ground(fleet: Fleet, journal: Journal) -> Array:
         journal: told if it takes a while.
     """
     text = f"vehicles do not quite stand still by their own estimates: watching how far they wander, for {GROUND_S:g} s"
-    positions_m = await watched(
-        fleet, GROUND_S, lambda: fleet.states.position_ned_m, lambda: journal.event("wander", text)
-    )
+    positions_m = await watched(GROUND_S, lambda: fleet.states.position_ned_m, lambda: journal.event("wander", text))
     steps_m = step_m(np.nan_to_num(positions_m))
     sigma_m = np.zeros((len(fleet.vehicles), 3))
-    for profile in {vehicle.profile.name: vehicle.profile for vehicle in fleet.vehicles}.values():
-        rows = np.array([row for row, vehicle in enumerate(fleet.vehicles) if vehicle.profile is profile])
+    for profile, rows in kinds(fleet):
         kind_m = float(np.median(steps_m[rows]))
         usual = rows[steps_m[rows] <= ALIKE * kind_m]
         mean_m = float(np.sqrt((steps_m[usual] ** 2).mean())) if len(usual) else 0.0
@@ -115,12 +123,15 @@ async def expected_wander(fleet: Fleet, mission: Mission, last_m: Array, journal
         sigma_m = await on_the_ground(fleet, journal)
         then_m = np.array([usual(each.profile, m) for each, m in zip(fleet.vehicles, last_m.tolist(), strict=True)])
         found = Wander(np.where(sigma_m > 0.0, np.maximum(sigma_m, then_m), sigma_m), hold_s)
+        source = (
+            "as they did on their last flight" if (found.sigma_m > sigma_m).any() else "by how they do on the ground"
+        )
     else:
         found = Wander(np.array([usual(vehicle.profile, given_m) for vehicle in fleet.vehicles]), hold_s)
+        source = "as the mission says"
     journal.recorder.know(wander_m=found.level_m, wander_is_measured=given_m is None)
     if found.level_m < NONE_M:
         return None
-    source = "by how they do on the ground" if given_m is None else "as the mission says"
     journal.event("wander", f"vehicles are expected to wander by {found.level_m:.2f} m in the air, {source}")
     return found
 
@@ -136,33 +147,32 @@ def usual(profile: AutopilotProfile, level_m: float | None = None) -> Array:
     return hover_m if level_m is None else hover_m * (level_m / np.hypot(hover_m[0], hover_m[1]))
 
 
-async def in_the_air(fleet: Fleet, told_enu_m: Callable[[], Array]) -> tuple[Array, Array]:
+async def in_the_air(fleet: Fleet, told_enu_m: Callable[[], Array], expected_m: Array) -> tuple[Array, Array] | None:
     """Return how far vehicles that hover are from where they are told to be, shape (V, 3) [m; ENU].
 
-    Their estimates show a part of it alone; which one is a matter of the autopilot. What is common to all of them
-    brings nobody nearer to anybody.
+    Their estimates show a part of it alone. What they do not show is what was expected, less what that shows as a rule;
+    squares add up. What is common to all of them brings nobody nearer to anybody.
 
     Args:
         fleet: its vehicles hover.
-        told_enu_m: where they are told to be, shape (V, 3) [m].
+        told_enu_m: where they are told to be, shape (V, 3) [m]; NaN: nobody tells them.
+        expected_m: how far they were expected to be from there, shape (V, 3) [m; ENU].
 
     Returns:
-        That, and what it is at least, as far as so short a time tells.
+        That, and what it is at least, as far as so short a time tells; None: not all were heard and told for long.
     """
     loop = asyncio.get_running_loop()
-    errors_m = await watched(
-        fleet, AIR_S, lambda: fleet.located(loop.time()).position_enu_m - told_enu_m(), lambda: None
-    )
+    errors_m = await watched(AIR_S, lambda: fleet.located(loop.time()).position_enu_m - told_enu_m())
+    errors_m = errors_m[np.isfinite(errors_m).all(axis=(1, 2))]
+    if len(errors_m) < FEWEST * round(AIR_S / LOOKS_S):
+        return None
     apart_m = errors_m - errors_m.mean(axis=1, keepdims=True)
     count = len(fleet.vehicles)
-    shown_m = np.sqrt((apart_m[..., :2] ** 2).mean(axis=0) * count / max(count - 1, 1))  # (V, 2)
-    found_m = np.zeros((count, 3))
-    unsure = np.zeros((count, 1))
-    for profile in {vehicle.profile.name: vehicle.profile for vehicle in fleet.vehicles}.values():
-        rows = np.array([row for row, vehicle in enumerate(fleet.vehicles) if vehicle.profile is profile])
-        level_m = float(np.sqrt((shown_m[rows] ** 2).sum(axis=1).mean()))
-        hover_m = np.array(profile.wander.hover_enu_m)
-        times = level_m / profile.wander.shown_m
-        found_m[rows] = times * hover_m
-        unsure[rows] = DOUBTED / np.sqrt(AIR_S * len(rows))  # errors that change in some two seconds, of two axes
-    return found_m, np.maximum(1.0 - unsure, 0.0) * found_m
+    found_m, least_m = np.empty((count, 3)), np.empty((count, 3))
+    for profile, rows in kinds(fleet):
+        shown_m = np.sqrt((apart_m[:, rows] ** 2).mean(axis=(0, 1)) * count / max(count - 1, 1))  # (3,)
+        unsure = min(1.0, DOUBTED / np.sqrt(AIR_S * len(rows)))  # errors that change in some two seconds, of two axes
+        hidden = 1.0 - (profile.wander.shown_m / np.hypot(*profile.wander.hover_enu_m[:2])) ** 2
+        squares = hidden * expected_m[rows] ** 2
+        found_m[rows], least_m[rows] = np.sqrt(squares + shown_m**2), np.sqrt(squares + ((1.0 - unsure) * shown_m) ** 2)
+    return found_m, least_m

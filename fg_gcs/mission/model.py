@@ -247,7 +247,6 @@ class LimitsTable(MissionTable):
         description='"slow", "widen" or "refuse": what is done where vehicles would come nearer than that '
         '(default "slow")',
     )
-
     wander_m: NotNegative | None = Field(
         default=None,
         description="a number of metres, 0 or more, how far vehicles hover off their places, rms, as seen from above "

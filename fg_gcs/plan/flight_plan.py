@@ -25,7 +25,7 @@ from fg_gcs.plan.targets import Target
 from fg_gcs.plan.trajectory import Trajectory, timed
 from fg_gcs.plan.transit import gather
 from fg_gcs.plan.verification import CheckedPlan, check
-from fg_gcs.plan.wander import Risk, Wander, least_pads, least_times, parts_of, risk_of, too_often
+from fg_gcs.plan.wander import Risk, Wander, least_pads, least_times, parts_of, risk_of, too_often, what_would_do
 from fg_gcs.plan.way_home import plan_home
 
 Indices = NDArray[np.intp]
@@ -172,7 +172,8 @@ def compile_flight(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]
     wider_m = pads * (tops_enu_m - tops_enu_m.mean(axis=0)) + tops_enu_m.mean(axis=0)
     times = least_wide(task, wider_m)
     apart_m = float(pdist(wider_m).min()) if pads > 1.0 else None
-    raise PlanError(too_often(risk, wander, separation_m, times and times * task.edge_m, apart_m))
+    helps = what_would_do(times and times * task.edge_m, apart_m)
+    raise PlanError(f"{too_often(risk, wander, separation_m)}; {helps}")
 
 
 def _kept_in_faults(task: Task, tops_enu_m: Array, stopwatch: Callable[[], float]) -> FlightPlan:

@@ -81,6 +81,11 @@ class Risk(NamedTuple):
         """Whether it is small enough to fly."""
         return self.breaches <= RISK
 
+    @property
+    def percent(self) -> float:
+        """At most in how many of a hundred flights a pair comes too near; breaches come as a Poisson process does."""
+        return float(-100.0 * np.expm1(-self.breaches))
+
 
 class Part(NamedTuple):
     """Where vehicles are told to be in one stage of a flight.
@@ -205,27 +210,31 @@ def least_pads(tops_enu_m: Array, wander: Wander, separation_m: float) -> float:
     return WIDEST if found is None else max(1.0, found)
 
 
-def too_often(
-    risk: Risk, wander: Wander, separation_m: float, edge_m: float | None, pads_m: float | None = None
-) -> str:
-    """Return why a flight is refused, and what would do, in one line.
+def too_often(risk: Risk, wander: Wander, separation_m: float) -> str:
+    """Return why a flight cannot be flown as planned, in words.
 
     Args:
         risk: of the flight.
         wander: of its vehicles.
         separation_m: the minimum [m].
-        edge_m: the least edge that would do [m]; None: none does.
-        pads_m: how far apart vehicles must take off [m]; None: where they stand.
     """
     first, second = risk.pair
-    share = -100.0 * np.expm1(-risk.breaches)
+    share = risk.percent
     often = "in nearly all flights" if share > MOST else f"in {share:.2g} % of flights"
+    return (
+        f"vehicles wander by {wander.level_m:.2f} m, so that {often} two come below {separation_m:.2f} m: vehicles "
+        f"{first + 1} and {second + 1} are {risk.distance_m:.2f} m apart as planned ({risk.stage})"
+    )
+
+
+def what_would_do(edge_m: float | None, pads_m: float | None) -> str:
+    """Return with what a flight would be safe, in words.
+
+    Args:
+        edge_m: the least edge [m]; None: none is.
+        pads_m: how far apart vehicles must take off [m]; None: where they stand.
+    """
     helps = "no formation is wide enough in this fence"
     if edge_m is not None:
         helps = f"the smallest edge that is safe is {edge_m:.1f} m"
-    if pads_m is not None:
-        helps += f", with vehicles {pads_m:.1f} m apart on the ground"
-    return (
-        f"vehicles wander by {wander.level_m:.2f} m, so that {often} two come below {separation_m:.2f} m: vehicles "
-        f"{first + 1} and {second + 1} are {risk.distance_m:.2f} m apart as planned ({risk.stage}); {helps}"
-    )
+    return helps if pads_m is None else f"{helps}, with vehicles {pads_m:.1f} m apart on the ground"

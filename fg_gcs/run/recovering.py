@@ -180,11 +180,13 @@ async def _recovered(
     own = {vehicle.address: one for vehicle in vehicles if (one := _kept_of(vehicle, kept, router)) is not None}
     was = {vehicle.address: _state(vehicle) for vehicle in vehicles}
     others = {
-        vehicle.address for vehicle in vehicles if vehicle.address in own and _is_flown(vehicle, own[vehicle.address])
+        vehicle.address
+        for vehicle in vehicles
+        if vehicle.address in own and _is_flown(vehicle, parameters.folder, own[vehicle.address])
     }
     own = {address: one for address, one in own.items() if address not in others}
     up = [vehicle for vehicle in vehicles if vehicle.armed and vehicle.address in own]
-    signs = asyncio.ensure_future(_give_signs([own[vehicle.address] for vehicle in up]))
+    signs = asyncio.ensure_future(_give_signs(parameters.folder, [own[vehicle.address] for vehicle in up]))
     try:
         left = await Recovery(router, up, _rules(own.values()), journal).run() if up else ()
     finally:
@@ -204,20 +206,20 @@ async def _recovered(
     return result
 
 
-def _is_flown(vehicle: Vehicle, kept: Kept) -> bool:
+def _is_flown(vehicle: Vehicle, folder: Path, kept: Kept) -> bool:
     """Say whether somebody else flies a vehicle: it follows setpoints, or waits for them, long after its run ended.
 
     By itself it does so for a second (PX4), or until it misses heartbeats for ten (ArduPilot).
     """
     follows = vehicle.armed and vehicle.mode == vehicle.profile.streaming_mode
-    return follows and time.time() - last_sign_s(kept) > OTHERS_S
+    return follows and time.time() - last_sign_s(folder, kept) > OTHERS_S
 
 
-async def _give_signs(kept: Sequence[Kept]) -> None:
+async def _give_signs(folder: Path, kept: Sequence[Kept]) -> None:
     """Let others know that these vehicles are being brought down, for ever: our heartbeats keep them in their mode."""
     async for _ in ticks(asyncio.get_running_loop().time(), SIGN_S):
         for one in kept:
-            give_sign(one)
+            give_sign(folder, one)
 
 
 async def _listen(router: Router, count: int, wait_s: float) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import math
 import os
 import select
 import signal
@@ -25,7 +26,6 @@ from pathlib import Path
 from typing import Any, Final
 
 TERM_S: Final = 5.0  # both autopilots end within 2 s of a SIGTERM
-STEP_S: Final = 0.05
 _PR_SET_PDEATHSIG: Final = 1
 
 
@@ -66,17 +66,24 @@ class Keeper:
                 del self._processes[number]
                 _tell(ended=number, code=process.wait())
 
-    def end(self) -> None:
-        """End all: they are asked to, and killed if they do not."""
+    def end(self, woken: int) -> None:
+        """End all: they are asked to, and killed if they do not.
+
+        Args:
+            woken: readable when one of them has ended.
+        """
         for process in self._processes.values():
             _send(process.pid, signal.SIGTERM)
         deadline_s = time.monotonic() + TERM_S
+        self.look()
         while self._processes:
-            self.look()
-            if time.monotonic() > deadline_s:
+            if _wait([woken], deadline_s - time.monotonic()):
+                os.read(woken, 1 << 16)
+            else:
                 for process in self._processes.values():
                     _send(process.pid, signal.SIGKILL)
-            time.sleep(STEP_S)
+                deadline_s = math.inf
+            self.look()
 
 
 def main() -> None:
@@ -87,18 +94,31 @@ def main() -> None:
         nonlocal ended
         ended = True
 
+    woken, wakes = os.pipe()
+    for number in (woken, wakes):
+        os.set_blocking(number, False)
+    signal.set_wakeup_fd(wakes, warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)  # it wakes us
     signal.signal(signal.SIGTERM, end)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     while not ended:
-        if select.select([0], [], [], STEP_S)[0]:
+        ready = _wait([0, woken], math.inf)
+        if woken in ready:
+            os.read(woken, 1 << 16)
+        if 0 in ready:
             data = os.read(0, 1 << 16)
             ended = ended or not data
             *lines, rest = (rest + data).split(b"\n")
             for line in lines:
                 keeper.start(json.loads(line))
         keeper.look()
-    keeper.end()
+    keeper.end(woken)
+
+
+def _wait(files: list[int], seconds: float) -> list[int]:
+    """Wait until some files are readable, at most so long [s]; return which."""
+    return select.select(files, [], [], None if math.isinf(seconds) else max(seconds, 0.0))[0]
 
 
 def _has_ended(process: subprocess.Popen[bytes]) -> bool:

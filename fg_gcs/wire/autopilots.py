@@ -342,7 +342,7 @@ ARDUPILOT: Final = AutopilotProfile(
     encoding=Encoding.CAST,
     drag_is_compensated=False,
     globe=EquirectangularGlobe(6_378_100.0),
-    wander=WanderProfile(0.0020, (0.02, 0.02, 0.02), 0.02),
+    wander=WanderProfile(0.0020, (0.02, 0.02, 0.02), 0.0058),
     limits=(  # newer firmware than the measured one renamed them and went from centimetres to metres
         _limit("speed_m_s", WPNAV_SPEED=0.01, WP_SPD=1.0),
         _limit("climb_m_s", WPNAV_SPEED_UP=0.01, WP_SPD_UP=1.0),

@@ -168,11 +168,13 @@ def fly(
     impairments: Sequence[Table] = (),
     ours: bool = True,
     shared: bool = False,
+    state: Path | None = None,
     loop: Callable[[], asyncio.AbstractEventLoop] = VirtualTimeLoop,
 ) -> Flight:
     """Fly a mission in virtual time while a script interferes.
 
     Not ``ours``: where on Earth it is has to be learnt. ``shared``: the vehicles have a link to another station too.
+    ``state``: where what outlives a run is kept.
     """
     chosen = mission or mission_of(folder)
     options = SimulatorOptions(
@@ -181,21 +183,30 @@ def fly(
         system_ids=chosen.swarm.ids(),
         remotes=tuple(("127.0.0.1", port) for port in ((GROUND_PORT, OTHER_PORT) if shared else (GROUND_PORT,))),
         wind_m_s=wind_m_s,
+        dynamics=chosen.simulator.dynamics,
+        noise_m=chosen.simulator.noise_m,
+        collisions=chosen.simulator.collisions,
         faults=tuple(map(parse_fault, faults)),
         impairments=tuple(map(parse_impairment, impairments)),
     )
     with asyncio.Runner(loop_factory=loop) as runner:
-        return runner.run(_fly(chosen, folder, options, script, ours))
+        return runner.run(_fly(chosen, folder, options, script, (ours, state)))
 
 
 async def _fly(
-    mission: Mission, folder: Path, simulated: SimulatorOptions, script: Script | None, ours: bool
+    mission: Mission, folder: Path, simulated: SimulatorOptions, script: Script | None, known: tuple[bool, Path | None]
 ) -> Flight:
+    ours, state = known
     simulator = Simulator(simulated)
     await simulator.start()
     beside = _Beside(simulator, script)
     options = FlyOptions(
-        (f"udpin:127.0.0.1:{GROUND_PORT}",), wait_s=5.0, logs=folder, knows_origin=ours, write_report=False
+        (f"udpin:127.0.0.1:{GROUND_PORT}",),
+        wait_s=5.0,
+        logs=folder,
+        knows_origin=ours,
+        write_report=False,
+        state=state,
     )
     try:
         result = await asyncio.wait_for(run_mission(mission, options, [beside]), 300.0)

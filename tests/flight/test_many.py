@@ -102,8 +102,7 @@ def test_who_stands_in_the_mode_for_landing_can_fly_again(autopilot: str, tmp_pa
     async def run() -> None:
         async with connected(tmp_path, autopilot, 3) as (fleet, journal, _):
             await fleet.ask(fleet.vehicles[1:], lambda vehicle: [set_mode(vehicle.profile.land_mode)])
-            await asyncio.sleep(3.0)
-            assert not any(vehicle.prearm_ok for vehicle in fleet.vehicles[1:])
+            await until(lambda: [v for v in fleet.vehicles[1:] if v.prearm_ok], 5.0, "cease to be ready")
             await prepare(fleet, journal)
             assert all(vehicle.prearm_ok for vehicle in fleet.vehicles)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,6 @@ import pytest
 from fg_gcs.errors import LinkError
 from fg_gcs.link.clock import VirtualTimeLoop, ticks
 from fg_gcs.record.write.kept_parameters import Kept, KeptParameters, read_kept
-from fg_gcs.run import recovering
 from fg_gcs.run.flying import FlyOptions
 from fg_gcs.run.flying import fly as run_mission
 from fg_gcs.run.recovering import RecoverOptions, RecoverResult, recover
@@ -33,11 +34,19 @@ class Crash:
     """A flight that is killed at a stage, and what `recover` makes of it some seconds later."""
 
     def __init__(
-        self, folder: Path, autopilot: str, stage: str, later_s: float, mode: str = "", key: Path | None = None
+        self,
+        folder: Path,
+        autopilot: str,
+        stage: str,
+        later_s: float,
+        mode: str = "",
+        key: Path | None = None,
+        ago_s: float = 0.0,
     ) -> None:
         self.state, self.folder, self.mode = folder / "state", folder, mode
         self.key, self.keys = key, () if key is None else (str(key),)
         self.stage, self.later_s = stage, later_s
+        self.ago_s = ago_s  # by the files' own times
         self.autopilot = autopilot
         self.closest_m = np.inf
 
@@ -88,6 +97,8 @@ class Crash:
         await killed.wait()
         assert len({kept.uid for kept in read_kept(self.state)} - {""}) == 4
         await asyncio.sleep(self.later_s)
+        if self.ago_s:
+            self._age()
         watch = asyncio.ensure_future(self._watch())
         how = RecoverOptions(wait_s=6.0, logs=self.folder, state=self.state, signing_keys=self.keys)
         result = await recover(how)
@@ -98,6 +109,14 @@ class Crash:
         await self.simulator.close()
         await asyncio.gather(flight, return_exceptions=True)
         return result
+
+    def _age(self) -> None:
+        """Let it be so long ago; the flight, which is not killed but made deaf, goes on writing elsewhere."""
+        for run in {Path(kept.run) for kept in read_kept(self.state)}:
+            run.rename(run.with_suffix(".moved"))
+        then_s = time.time() - self.ago_s
+        for path in self.state.glob("*.json"):
+            os.utime(path, (then_s, then_s))
 
     def run_and_fly_again(self) -> list[dict[str, float]]:
         """Return the parameters of each vehicle that are not what they were before the first flight."""
@@ -177,10 +196,9 @@ def test_what_was_left_in_the_air_comes_down_apart(stage: str, later_s: float, a
     assert read_kept(crash.state) == []
 
 
-def test_what_another_station_flies_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They follow setpoints so long after their run has ended that somebody else must send them."""
-    monkeypatch.setattr(recovering, "OTHERS_S", -1.0)
-    crash = Crash(tmp_path, "ardupilot", "hold", 0.5)
+def test_what_another_station_flies_is_left_alone(tmp_path: Path) -> None:
+    """They follow setpoints so long after the last sign of life of their run that somebody else must send them."""
+    crash = Crash(tmp_path, "ardupilot", "hold", 0.5, ago_s=60.0)
     result = crash.run()
     assert not result.in_order
     assert {each.parameters for each in result.vehicles} == {"another ground station flies it: left alone"}

@@ -17,7 +17,7 @@ from fg_gcs.wire.framing import Sender
 from tests.sitl.process import free_udp_port
 
 WHO_AM_I = """
-import os, socket, sys, time
+import os, signal, socket, sys
 def value(option):
     return sys.argv[sys.argv.index(option) + 1]
 system_id, (host, port) = value("--sysid"), value("--serial0").split(":")[1:]
@@ -29,9 +29,13 @@ os.execv(sys.executable, [sys.executable, "-m", "sitl_mock", "--autopilot", "ard
 """
 HEARTBEATS = """
 out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+out.settimeout(0.1)
 while True:
     out.sendto(bytes.fromhex(BEATS[system_id]), (host, int(port)))
-    time.sleep(0.1)
+    try:
+        out.recv(512)  # what the station says; nothing follows
+    except TimeoutError:
+        pass
 """
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import time
 from pathlib import Path
 
 import pytest
@@ -13,16 +12,15 @@ import pytest
 from fg_gcs.errors import MissionError
 from fg_gcs.sitl.instances import Start
 from fg_gcs.sitl.processes import LOG, Processes, how_ended, keeping, last_words
+from tests.console.test_processes import ends
 from tests.swarms.standins import alive
 
-# Its child ignores a SIGTERM; both write their numbers
+# Its child ignores a SIGTERM, and tells its number when it does
 WITH_CHILD = """#!/bin/sh
-sh -c 'trap "" TERM; echo $$ > child; while :; do sleep 1; done' &
+sh -c 'trap "" TERM; echo $$ > child; read forever < never' &
 echo "I began" && echo "and went on"
-while [ ! -s child ]; do sleep 0.01; done
 wait
 """
-PATIENCE_S = 60.0
 
 
 def program(path: Path, text: str = WITH_CHILD) -> Start:
@@ -31,16 +29,22 @@ def program(path: Path, text: str = WITH_CHILD) -> Start:
     return Start((str(path),), {}, {})
 
 
-async def pids_of(processes: Processes, folder: Path) -> list[int]:
-    """Wait until the process and its child run; return their numbers."""
+async def started(processes: Processes, folder: Path) -> list[int]:
+    """Start a process that has a child; return both numbers when both run."""
+    for name in ("child", "never"):
+        fifo(folder / name)
+    await processes.start(program(folder / "sitl"), folder)
     return [processes.pids[0], await asyncio.to_thread(number_in, folder / "child")]
 
 
+def fifo(path: Path) -> Path:
+    """Make a pipe in the file system: who reads waits for who writes."""
+    os.mkfifo(path)
+    return path
+
+
 def number_in(path: Path) -> int:
-    """Wait until a number is in a file."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (path.exists() and path.read_text()) and time.monotonic() < deadline_s:
-        time.sleep(0.01)
+    """Wait until somebody writes a number into a pipe."""
     return int(path.read_text())
 
 
@@ -48,18 +52,10 @@ def parent_of(pid: int) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
-def all_end(pids: list[int]) -> bool:
-    deadline_s = time.monotonic() + PATIENCE_S
-    while alive(pids) and time.monotonic() < deadline_s:
-        time.sleep(0.01)
-    return not alive(pids)
-
-
 def test_all_end_with_the_context_their_children_as_well(tmp_path: Path) -> None:
     async def main() -> None:
         async with keeping(lambda number, code: None) as processes:
-            await processes.start(program(tmp_path / "sitl"), tmp_path)
-            pids = await pids_of(processes, tmp_path)
+            pids = await started(processes, tmp_path)
             assert alive(pids) == pids
         assert not alive(pids)
 
@@ -71,12 +67,11 @@ def test_what_one_has_started_ends_with_it_and_its_end_is_told(tmp_path: Path) -
     async def main() -> None:
         ended: asyncio.Queue[tuple[int, int | None]] = asyncio.Queue()
         async with keeping(lambda number, code: ended.put_nowait((number, code))) as processes:
-            await processes.start(program(tmp_path / "sitl"), tmp_path)
-            pids = await pids_of(processes, tmp_path)
+            pids = await started(processes, tmp_path)
             os.kill(pids[0], signal.SIGKILL)
             number, code = await ended.get()
             assert (number, how_ended(code)) == (0, "was ended by SIGKILL")
-            assert all_end(pids)
+            assert all(map(ends, pids))
 
     asyncio.run(main())
 
@@ -85,11 +80,10 @@ def test_none_outlives_a_keeper_that_is_killed(tmp_path: Path) -> None:
     async def main() -> None:
         ended: asyncio.Queue[tuple[int, int | None]] = asyncio.Queue()
         async with keeping(lambda number, code: ended.put_nowait((number, code))) as processes:
-            await processes.start(program(tmp_path / "sitl"), tmp_path)
-            pids = await pids_of(processes, tmp_path)
+            pids = await started(processes, tmp_path)
             os.kill(parent_of(pids[0]), signal.SIGKILL)
             assert await ended.get() == (0, None)
-            assert all_end(pids)
+            assert all(map(ends, pids))
             with pytest.raises(MissionError, match="cannot be run"):
                 await processes.start(program(tmp_path / "sitl"), tmp_path)
 

@@ -29,10 +29,10 @@ from fg_gcs.sitl.swarm import Member, Stage, Swarm, judge, started
 from tests.console.test_processes import GCS, ends
 from tests.flight.harness import SMALL, mission_of
 from tests.swarms.standins import OURS, Heard, alive, beating, options, script, some
-from tests.swarms.test_processes import number_in
+from tests.swarms.test_processes import fifo, number_in
 
 DYING = 'print("no sensors", file=sys.stderr); sys.exit(3)'
-SILENT = "time.sleep(600)"
+SILENT = "signal.pause()"
 PATIENT = 20.0, 20.0  # for heartbeats, and until all can be armed [s]
 
 
@@ -216,11 +216,13 @@ def test_a_swarm_becomes_ready_tells_who_ends_and_leaves_nobody_though_it_is_kil
 def test_a_swarm_that_is_stopped_while_it_boots_leaves_nobody(
     number: signal.Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = script(tmp_path / "copter", f"open('pid', 'w').write(str(os.getpid()))\n{SILENT}")
-    path = tmp_path / "own" / "ardupilot-1" / "pid"
+    path = fifo(tmp_path / "pid")
+    write = f"if system_id == '2':\n    open({str(path)!r}, 'w').write(str(os.getpid()))"
+    told = script(tmp_path / "copter", f"{write}\n{SILENT}")
+    pids: list[int] = []
 
     def stop() -> None:
-        number_in(path)
+        pids.append(number_in(path))
         os.kill(os.getpid(), number)
 
     thread = threading.Thread(target=stop)
@@ -231,4 +233,5 @@ def test_a_swarm_that_is_stopped_while_it_boots_leaves_nobody(
     assert code == 1
     assert "ending all instances" in said
     assert json.loads(out.splitlines()[-1]) == {"ready": False, "ended": True, "exit_code": 1}
-    assert not alive([number_in(path)])
+    assert pids
+    assert not alive(pids)

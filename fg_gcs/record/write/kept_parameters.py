@@ -129,22 +129,23 @@ def unreadable(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.glob("*.json")) if _read(path) is None]
 
 
-def last_sign_s(kept: Kept) -> float:
-    """Return when the run that keeps it, or one that brings its vehicles down, gave its last sign of life [s; Unix].
+def last_sign_s(folder: Path, kept: Kept) -> float:
+    """Return when the run that keeps it, or one that brings its vehicle down, gave its last sign of life [s; Unix].
 
-    A run writes into its folder several times a second; 0 if that is gone.
+    A run writes into its own folder several times a second; that may be gone, and what is kept is not.
     """
     newest_s = 0.0
-    with suppress(OSError):
-        for path in (Path(kept.run), *Path(kept.run).iterdir()):
-            newest_s = max(newest_s, path.stat().st_mtime)
+    for place in (folder / kept.name, Path(kept.run)):
+        with suppress(OSError):
+            for path in (place, *(place.iterdir() if place.is_dir() else ())):
+                newest_s = max(newest_s, path.stat().st_mtime)
     return newest_s
 
 
-def give_sign(kept: Kept) -> None:
+def give_sign(folder: Path, kept: Kept) -> None:
     """Let others know that its vehicle is being brought down."""
     with suppress(OSError):
-        os.utime(kept.run)
+        os.utime(folder / kept.name)
 
 
 def is_alive(folder: Path, kept: Kept) -> bool:
