@@ -62,6 +62,9 @@ def test_an_edge_of_its_own_is_wide_enough(tmp_path: Path) -> None:
     assert flight.truth_separation_m > 1.0
     assert flight.result.task is not None
     assert 2.2 < flight.result.task.edge_m < 4.0
+    assert flight.result.plan is not None
+    assert flight.result.plan.risk is not None
+    assert flight.result.plan.risk.is_kept  # slowed down for faults as it is
     (name,) = KeptCalibrations(state).read()
     assert name == "PX4 1.17.0"
     assert KeptCalibrations(state).read()[name].wander_m == pytest.approx(0.3, rel=0.5)
